@@ -1,0 +1,1 @@
+"""Geometry sources: each turns one kind of input into a `iga.Domain`."""

@@ -1,0 +1,1 @@
+"""The core: reference cells, bases, blocks, domains, fields, assembly, solvers, certificates, export."""

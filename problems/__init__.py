@@ -1,0 +1,1 @@
+"""Heat conduction and linear elasticity: data, exact solutions, benchmark cases."""

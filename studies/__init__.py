@@ -1,0 +1,1 @@
+"""Studies: one module per question; tables, rates, figures and their baselines."""
