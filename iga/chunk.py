@@ -1,0 +1,267 @@
+r"""Chunks: what an integrand sees of about a hundred elements at once.
+
+At the points q of a rule on elements e of one block, with N = C B the functions and P their control points,
+
+    x = sum_i R_i P_i,   J = dx/dxi,   dx = weight det J,   G = grad_xi R J^-1,
+    R_i = w_i N_i / W, W = sum_j w_j N_j    (R = N where the space has no weights).
+
+Quantities are computed when first asked for and live only as long as the chunk: nothing is stored for a whole mesh.
+det J keeps its sign, so a folded element contributes negative volume.
+
+Axis letters: e element of the chunk, q point, n function on the element, b Bernstein, d reference dimension, c component.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iga.bernstein import LocalBasis
+from iga.block import bezier_coefficients, dense_extraction
+from iga.cells import Cell
+from iga.domain import Domain, Facets, facets_of
+from iga.errors import InputError
+from iga.quadrature import Quadrature, gauss
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SIZE = 128
+"""Elements per chunk: what fits the cache (measured three times faster than 1024)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Some elements of one block, or some facets, at the points of a rule.
+
+    Attributes
+    ----------
+    domain, block, elements : where the elements are; ``elements`` is (e,).
+    points, weights : (q, d) reference points in the cell and (q,) weights, of the facet for facets.
+    rule : the rule that points and weights came from, on the cell or on the facet's own reference cell.
+    face : local face number, or -1 inside.
+    """
+
+    domain: Domain
+    block: int
+    elements: Index
+    points: Array
+    weights: Array
+    rule: Quadrature | None = None
+    face: int = -1
+
+    @property
+    def basis(self) -> LocalBasis:
+        """Bernstein basis of the block."""
+        return self.domain.space.blocks[self.block].basis
+
+    @property
+    def n(self) -> int:
+        """Functions on each element."""
+        return self.domain.space.blocks[self.block].n
+
+    @cached_property
+    def dofs(self) -> Index:
+        """Function numbers, (e, n)."""
+        return self.domain.space.blocks[self.block].dofs[self.elements]
+
+    @cached_property
+    def table(self) -> tuple[Array, Array]:
+        """Bernstein values (q, b) and gradients (q, b, d)."""
+        values, gradients = self.basis.tabulate(self.points, 1)
+        return values, gradients
+
+    @cached_property
+    def control(self) -> Array:
+        """Bernstein coefficients of (w x, w), (e, b, 4), or of x, (e, b, 3), if there are no weights."""
+        space = self.domain.space
+        points = self.domain.points
+        if space.weights is not None:
+            points = np.column_stack([points * space.weights[:, None], space.weights])
+        return bezier_coefficients(space.blocks[self.block], points, self.elements)
+
+    @cached_property
+    def _map(self) -> tuple[Array, Array, Array | None, Array | None]:
+        """x, J, W and grad_xi W."""
+        values, gradients = self.table
+        e, q, d = len(self.elements), len(self.points), gradients.shape[2]
+        x = values @ self.control
+        flat = gradients.transpose(0, 2, 1).reshape(q * d, -1)
+        slopes = (flat @ self.control).reshape(e, q, d, -1).swapaxes(2, 3)
+        if self.domain.space.weights is None:
+            return x, slopes, None, None
+        W, dW = x[..., 3], slopes[..., 3, :]
+        x = x[..., :3] / W[..., None]
+        return x, (slopes[..., :3, :] - x[..., None] * dW[..., None, :]) / W[..., None, None], W, dW
+
+    @property
+    def x(self) -> Array:
+        """Physical points, (e, q, 3)."""
+        return self._map[0]
+
+    @property
+    def J(self) -> Array:
+        """Jacobian matrices dx_c/dxi_d, (e, q, 3, d)."""
+        return self._map[1]
+
+    @cached_property
+    def cofactors(self) -> Array:
+        """Cofactor matrices of J, (e, q, 3, 3): det J times the inverse transposed."""
+        a, b, c = self.J[..., 0], self.J[..., 1], self.J[..., 2]
+        return np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)
+
+    @cached_property
+    def det(self) -> Array:
+        """det J with its sign, (e, q)."""
+        return np.einsum("eqc,eqc->eq", self.J[..., 0], self.cofactors[..., 0])
+
+    @cached_property
+    def inverse(self) -> Array:
+        """J^-1, (e, q, d, 3).
+
+        Raises
+        ------
+        InputError : det J is zero at a point of an element, which is named.
+        """
+        bad = np.argwhere(self.det == 0)
+        if len(bad):
+            where = ", ".join(f"{v:.3g}" for v in self.points[bad[0, 1]])
+            raise InputError(f"element {self.elements[bad[0, 0]]} of block {self.block} is degenerate at ({where})")
+        return self.cofactors.swapaxes(2, 3) / self.det[..., None, None]
+
+    @cached_property
+    def dx(self) -> Array:
+        """Weights times det J in the volume, times the area element on facets, (e, q)."""
+        if self.face < 0:
+            return self.weights * self.det
+        return self.weights * np.linalg.norm(self._area, axis=-1)
+
+    @cached_property
+    def _area(self) -> Array:
+        """Outward normal times area element on a facet, (e, q, 3)."""
+        if self.face < 0:
+            raise InputError("normals exist on facets only")
+        axes = self.basis.cell.faces[self.face].axes
+        tangents = self.J @ axes
+        return np.cross(tangents[..., 0], tangents[..., 1])
+
+    @cached_property
+    def normal(self) -> Array:
+        """Outward unit normals on facets, (e, q, 3)."""
+        return self._area / np.linalg.norm(self._area, axis=-1, keepdims=True)
+
+    @cached_property
+    def _functions(self) -> tuple[Array, Array]:
+        """Functions N or R and their reference gradients: (1 or e, q, n) and (1 or e, q, n, d)."""
+        values, gradients = self.table
+        C = dense_extraction(self.domain.space.blocks[self.block], self.elements)
+        if C is None:
+            N, dN = values[None], gradients[None]
+        else:
+            transposed = C.swapaxes(1, 2)
+            N = values @ transposed
+            dN = np.stack([gradients[..., d] @ transposed for d in range(gradients.shape[2])], axis=-1)
+        weights = self.domain.space.weights
+        if weights is None:
+            return N, dN
+        W, dW = self._map[2], self._map[3]
+        assert W is not None and dW is not None
+        R = N * weights[self.dofs][:, None, :] / W[..., None]
+        dR = dN * (weights[self.dofs][:, None, :] / W[..., None])[..., None] - R[..., None] * (
+            dW / W[..., None]
+        )[:, :, None, :]
+        return R, dR
+
+    @property
+    def N(self) -> Array:
+        """Values of the functions, (1 or e, q, n)."""
+        return self._functions[0]
+
+    @cached_property
+    def G(self) -> Array:
+        """Physical gradients of the functions, (e, q, n, 3)."""
+        return self._functions[1] @ self.inverse
+
+    def at(self, coefficients: Array) -> Array:
+        """Values at the points of a field with coefficients (N,) or (N, c): (e, q) or (e, q, c)."""
+        local = coefficients[self.dofs]
+        if local.ndim == 2:
+            return (self.N @ local[..., None])[..., 0]
+        return self.N @ local
+
+    def gradient(self, coefficients: Array) -> Array:
+        """Physical gradients at the points: (e, q, 3), or (e, q, c, 3) with last axis the derivative."""
+        local = coefficients[self.dofs]
+        single = local.ndim == 2
+        if single:
+            local = local[..., None]
+        slopes = np.einsum("eqnd,enc->eqcd", self._functions[1], local, optimize=True) @ self.inverse
+        return slopes[..., 0, :] if single else slopes
+
+
+def default_points(basis: LocalBasis) -> tuple[int, ...]:
+    """Gauss points per reference direction where none are asked for: degree + 1."""
+    p, cell = basis.degree, basis.cell
+    if cell.name == "wedge":
+        return (p[0] + 1, p[0] + 1, p[1] + 1)
+    return tuple(q + 1 for q in p) if len(p) == cell.dim else (p[0] + 1,) * cell.dim
+
+
+def rule_for(basis: LocalBasis, points: int | None, face: int = -1) -> Quadrature:
+    """Gauss rule of a block's cell, or of one of its faces, with ``points`` per direction (by default degree + 1)."""
+    cell = basis.cell
+    counts = (points,) * cell.dim if points is not None else default_points(basis)
+    if face < 0:
+        return gauss(cell, counts)
+    return gauss(cell.faces[face].cell, tuple(_along(cell, face, counts)))
+
+
+def _along(cell: Cell, face: int, counts: tuple[int, ...]) -> Iterator[int]:
+    """Points along each axis of a face: the most of any cell direction that the axis runs in."""
+    for axis in cell.faces[face].axes.T:
+        yield max(count for count, step in zip(counts, axis) if step)
+
+
+def chunks(
+    domain: Domain, points: int | None = None, size: int = SIZE, rules: tuple[Quadrature, ...] | None = None
+) -> Iterator[Chunk]:
+    """Walk over all elements.
+
+    Parameters
+    ----------
+    points : Gauss points per direction, by default degree + 1.
+    size : elements per chunk.
+    rules : a rule for each block, in place of Gauss rules.
+    """
+    for number, block in enumerate(domain.space.blocks):
+        rule = rules[number] if rules else rule_for(block.basis, points)
+        for start in range(0, block.elements, size):
+            elements = np.arange(start, min(start + size, block.elements))
+            yield Chunk(domain, number, elements, rule.points, rule.weights, rule)
+
+
+def facet_chunks(
+    domain: Domain, boundary: str | list[str] | tuple[Facets, ...], points: int | None = None, size: int = SIZE
+) -> Iterator[Chunk]:
+    """Walk over the facets of boundaries given by name or pattern, or as facets.
+
+    Raises
+    ------
+    InputError : a name matches no boundary.
+    """
+    facets: tuple[Facets, ...]
+    if isinstance(boundary, tuple):
+        facets = boundary
+    else:
+        facets = facets_of(domain, boundary)
+    for f in facets:
+        basis = domain.space.blocks[f.block].basis
+        rule = rule_for(basis, points, f.face)
+        face = basis.cell.faces[f.face]
+        inside = face.origin + rule.points @ face.axes.T
+        for start in range(0, len(f.elements), size):
+            yield Chunk(domain, f.block, f.elements[start : start + size], inside, rule.weights, rule, f.face)

@@ -1,0 +1,76 @@
+"""Fields: coefficients over the functions of a space.
+
+Geometry, temperature, displacement and conductivity are all fields. Axis letters: n function, c component.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iga.chunk import Chunk
+from iga.domain import Domain, Space
+from iga.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A field u = sum_i u_i R_i with ``coefficients`` (n,) or (n, c) over the functions of ``space``."""
+
+    space: Space
+    coefficients: Array
+
+    def __post_init__(self) -> None:
+        if len(self.coefficients) != self.space.n:
+            raise InputError(f"a field on {self.space.n} functions cannot have {len(self.coefficients)} coefficients")
+
+
+Coefficient = float | Array | Field | Callable[[Array], Array]
+"""A number, a constant array (tensor), a field, or a function of physical points (..., 3)."""
+
+
+def geometry(domain: Domain) -> Field:
+    """Return the domain's map as a field with three components."""
+    return Field(domain.space, domain.points)
+
+
+def attribute(domain: Domain, name: str) -> Field:
+    """Return an attribute of the domain as a field.
+
+    Raises
+    ------
+    InputError : there is no such attribute; those that exist are listed.
+    """
+    if name not in domain.attributes:
+        there = ", ".join(sorted(domain.attributes)) or "none"
+        raise InputError(f"the domain has no attribute {name!r}; there are: {there}")
+    return Field(domain.space, np.asarray(domain.attributes[name], dtype=float))
+
+
+def evaluate(coefficient: Coefficient, chunk: Chunk) -> Array:
+    """Values of a coefficient at the points of a chunk.
+
+    Returns
+    -------
+    An array that broadcasts against (e, q, ...): numbers and constant tensors keep their shape.
+
+    Raises
+    ------
+    InputError : a value is not finite; the element is named.
+    """
+    if isinstance(coefficient, Field):
+        values = chunk.at(coefficient.coefficients)
+    elif callable(coefficient):
+        values = np.asarray(coefficient(chunk.x), dtype=float)
+        if values.shape[:2] != chunk.x.shape[:2] and values.ndim >= 1 and values.shape != ():
+            values = np.broadcast_to(values, (*chunk.x.shape[:2], *values.shape))
+    else:
+        values = np.asarray(coefficient, dtype=float)
+    if not np.isfinite(values).all():
+        raise InputError(f"a coefficient is not finite at an element near element {chunk.elements[0]} of block {chunk.block}")
+    return values
