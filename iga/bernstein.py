@@ -16,7 +16,7 @@ Axis letters: q point, n function, d reference dimension.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
 from math import comb, factorial
 from typing import Protocol
 
@@ -104,7 +104,7 @@ class Bernstein:
 _DIRECTIONS = {"quadrilateral": 2, "hexahedron": 3, "wedge": 2}
 
 
-@lru_cache(maxsize=None)
+@cache
 def bernstein(cell: Cell, degree: int | tuple[int, ...]) -> Bernstein:
     """Bernstein basis of a cell; an integer degree is used in every direction.
 
@@ -119,7 +119,7 @@ def bernstein(cell: Cell, degree: int | tuple[int, ...]) -> Bernstein:
     return Bernstein(cell, degrees)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _exponents(name: str, degree: tuple[int, ...]) -> Index:
     p = degree[0]
     rows: list[tuple[int, ...]]
@@ -234,7 +234,7 @@ def _pyramid(points: Array, exponents: Index, p: int, order: int) -> tuple[Array
     values = np.empty((q, n))
     gradients = np.empty((q, n, 3))
     second = np.empty((q, n, 3, 3))
-    i, j, k = exponents.T
+    k = exponents[:, 2]
     for layer in range(p + 1):
         rows = np.flatnonzero(k == layer)
         m = p - layer
@@ -287,7 +287,7 @@ def greville(basis: LocalBasis) -> Array:
     return np.where(np.array(p) > 0, e / np.maximum(p, 1), 0.5)
 
 
-@lru_cache(maxsize=None)
+@cache
 def face_functions(basis: Bernstein, face: int) -> tuple[Bernstein, Index]:
     """Functions that do not vanish on a face.
 
@@ -329,7 +329,7 @@ def lagrange_to_bernstein(basis: LocalBasis, points: Array) -> Array:
     return np.linalg.inv(values)
 
 
-@lru_cache(maxsize=None)
+@cache
 def elevation(basis: Bernstein, degree: tuple[int, ...]) -> Array:
     """Matrix (m, n) from coefficients to coefficients of the same function in a higher degree.
 
@@ -345,14 +345,15 @@ def elevation(basis: Bernstein, degree: tuple[int, ...]) -> Array:
         return _elevate_simplex(basis.exponents, target.exponents, basis.degree[0], target.degree[0])
     if name == "wedge":
         plane = elevation(bernstein(TRIANGLE, basis.degree[0]), (target.degree[0],))
-        return np.kron(plane, elevation(bernstein(LINE, basis.degree[1]), (target.degree[1],)))
+        line = elevation(bernstein(LINE, basis.degree[1]), (target.degree[1],))
+        return np.asarray(np.kron(plane, line), dtype=np.float64)
     if name == "pyramid":
         return _elevate_pyramid(basis, target)
     matrix = np.ones((1, 1))
     for old, new in zip(basis.degree, target.degree):
         i, j = np.arange(old + 1), np.arange(new + 1)
         line = _elevate_simplex(np.column_stack([old - i, i]), np.column_stack([new - j, j]), old, new)
-        matrix = np.kron(matrix, line)
+        matrix = np.asarray(np.kron(matrix, line), dtype=np.float64)
     return matrix
 
 
@@ -362,7 +363,7 @@ def _elevate_simplex(old: Index, new: Index, p: int, q: int) -> Array:
     for v in range(old.shape[1]):
         table = np.array([[comb(b, a) for a in range(p + 1)] for b in range(q + 1)], dtype=float)
         matrix *= table[new[:, v][:, None], old[:, v][None, :]]
-    return matrix / comb(q, p)
+    return np.asarray(matrix / comb(q, p))
 
 
 def _elevate_pyramid(basis: Bernstein, target: Bernstein) -> Array:

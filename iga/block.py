@@ -72,8 +72,8 @@ class Block:
         sizes = extraction_shape(self)
         if self.dofs.ndim != 2 or sizes != (self.dofs.shape[1], self.basis.n):
             raise InputError(
-                f"block of {self.basis.cell.name}s of degree {self.basis.degree}: dofs {self.dofs.shape} and extraction "
-                f"{sizes} do not fit {self.basis.n} Bernstein functions"
+                f"block of {self.basis.cell.name}s of degree {self.basis.degree}: dofs {self.dofs.shape} and "
+                f"extraction {sizes} do not fit {self.basis.n} Bernstein functions"
             )
 
     @property

@@ -8,7 +8,8 @@ At the points q of a rule on elements e of one block, with N = C B the functions
 Quantities are computed when first asked for and live only as long as the chunk: nothing is stored for a whole mesh.
 det J keeps its sign, so a folded element contributes negative volume.
 
-Axis letters: e element of the chunk, q point, n function on the element, b Bernstein, d reference dimension, c component.
+Axis letters: e element of the chunk, q point, n function on the element, b Bernstein function, d reference dimension,
+c component.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ class Chunk:
 
     @cached_property
     def det(self) -> Array:
-        """det J with its sign, (e, q)."""
+        """Det J with its sign, (e, q)."""
         return np.einsum("eqc,eqc->eq", self.J[..., 0], self.cofactors[..., 0])
 
     @cached_property
@@ -169,11 +170,11 @@ class Chunk:
         if weights is None:
             return N, dN
         W, dW = self._map[2], self._map[3]
-        assert W is not None and dW is not None
-        R = N * weights[self.dofs][:, None, :] / W[..., None]
-        dR = dN * (weights[self.dofs][:, None, :] / W[..., None])[..., None] - R[..., None] * (
-            dW / W[..., None]
-        )[:, :, None, :]
+        if W is None or dW is None:
+            return N, dN
+        scale = weights[self.dofs][:, None, :] / W[..., None]
+        R = N * scale
+        dR = dN * scale[..., None] - R[..., None] * (dW / W[..., None])[:, :, None, :]
         return R, dR
 
     @property

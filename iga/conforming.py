@@ -46,7 +46,8 @@ class Complex:
 
 
 def entity_keys(corners: Index, vertices: int) -> Index:
-    """Integer keys (m,) of edges or faces given by vertex numbers (m, 2..4): equal if and only if the sets are equal.
+    """Integer keys (m,) of edges or faces given by vertex numbers (m, 2..4): equal, within one call, if and only if
+    the sets are equal.
 
     The three smallest vertices identify a quadrilateral of a conforming mesh.
     """
@@ -151,8 +152,7 @@ def _face_orders(degree: int, size: int) -> tuple[Index, Index]:
         orders = [[index[tuple(e[list(order)])] for e in inner] for order in permutations(range(3))]
         return places, np.array(orders, dtype=np.int64).reshape(6, len(places))
     m = degree - 1
-    i, j = np.meshgrid(np.arange(1, degree), np.arange(1, degree), indexing="ij")
-    i, j = i.ravel(), j.ravel()
+    i, j = (g.ravel() for g in np.meshgrid(np.arange(1, degree), np.arange(1, degree), indexing="ij"))
     places = i * (degree + 1) + j
     rows = []
     for code in range(8):
@@ -201,7 +201,8 @@ def boundary(mesh: Complex) -> tuple[Facets, ...]:
         many = np.flatnonzero(count[inverse] > 2)
         if len(many):
             vertices = ", ".join(str(v) for v in sorted(corners[many[0]].tolist()))
-            raise InputError(f"the face with vertices {vertices} belongs to {count[inverse[many[0]]]} cells (non-manifold)")
+            cells = count[inverse[many[0]]]
+            raise InputError(f"the face with vertices {vertices} belongs to {cells} cells (non-manifold)")
         at = 0
         for p, k, own in found:
             single = np.flatnonzero(count[inverse[at : at + len(own)]] == 1)
@@ -235,7 +236,7 @@ def bezier_domain(
 
 
 def straight_domain(mesh: Complex, vertices: Array, degree: int = 1) -> Domain:
-    """Straight-sided domain: the degree-one map of each cell through its vertices (v, 3), written in a higher degree."""
+    """Straight-sided domain: each cell's degree-one map through its vertices (v, 3), written in a higher degree."""
     coefficients = []
     for cell, corners in mesh.parts:
         raise_ = elevation(bernstein(cell, 1), bernstein(cell, degree).degree)

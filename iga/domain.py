@@ -97,7 +97,7 @@ class Domain:
 
     def __post_init__(self) -> None:
         if self.points.shape != (self.space.n, 3):
-            raise InputError(f"{self.space.n} functions need control points ({self.space.n}, 3), not {self.points.shape}")
+            raise InputError(f"{self.space.n} functions need {self.space.n} control points, not {self.points.shape}")
         for name in ("boundaries", "attributes", "report"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
@@ -154,8 +154,9 @@ def check(domain: Domain) -> None:
 
     Raises
     ------
-    InputError : the first thing that is wrong, by name: non-finite control points, weights that are not positive, dof or
-        pattern numbers out of range, functions on no element, extraction that does not sum to one, facets out of range.
+    InputError : the first thing that is wrong, by name: non-finite control points, weights that are not positive, dof
+        or pattern numbers out of range, functions on no element, extraction that does not sum to one,
+        facets out of range.
     """
     space = domain.space
     bad = np.flatnonzero(~np.isfinite(domain.points).all(axis=1))
@@ -180,7 +181,7 @@ def check(domain: Domain) -> None:
             block = space.blocks[f.block]
             if not 0 <= f.face < len(block.basis.cell.faces):
                 raise InputError(f"boundary {name!r} names face {f.face} of a {block.basis.cell.name}")
-            if len(f.elements) and not (0 <= f.elements.min() and f.elements.max() < block.elements):
+            if len(f.elements) and not (f.elements.min() >= 0 and f.elements.max() < block.elements):
                 raise InputError(f"boundary {name!r} names an element outside block {f.block}")
     for name, values in domain.attributes.items():
         if len(values) != space.n:
@@ -188,7 +189,7 @@ def check(domain: Domain) -> None:
 
 
 def _check_block(number: int, block: Block, n: int) -> None:
-    if block.elements and not (0 <= block.dofs.min() and block.dofs.max() < n):
+    if block.elements and not (block.dofs.min() >= 0 and block.dofs.max() < n):
         raise InputError(f"block {number}: function numbers lie outside 0..{n - 1}")
     extraction = block.extraction
     operators: list[tuple[Array, Index]] = []
@@ -199,7 +200,7 @@ def _check_block(number: int, block: Block, n: int) -> None:
     for C, pattern in operators:
         if len(pattern) != block.elements:
             raise InputError(f"block {number}: {len(pattern)} extraction patterns for {block.elements} elements")
-        if len(pattern) and not (0 <= pattern.min() and pattern.max() < len(C)):
+        if len(pattern) and not (pattern.min() >= 0 and pattern.max() < len(C)):
             raise InputError(f"block {number}: extraction pattern numbers lie outside 0..{len(C) - 1}")
         off = np.abs(C.sum(axis=1) - 1.0).max(axis=1)
         if off.max() > 1e-9:

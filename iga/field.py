@@ -72,5 +72,13 @@ def evaluate(coefficient: Coefficient, chunk: Chunk) -> Array:
     else:
         values = np.asarray(coefficient, dtype=float)
     if not np.isfinite(values).all():
-        raise InputError(f"a coefficient is not finite at an element near element {chunk.elements[0]} of block {chunk.block}")
+        raise InputError(_where(values, chunk))
     return values
+
+
+def _where(values: Array, chunk: Chunk) -> str:
+    if values.shape[:2] != (len(chunk.elements), len(chunk.weights)):
+        return "a coefficient is not finite"
+    e, q = np.argwhere(~np.isfinite(values))[0][:2]
+    x, y, z = chunk.x[e, q]
+    return f"a coefficient is not finite in element {chunk.elements[e]} of block {chunk.block} ({x:g}, {y:g}, {z:g})"

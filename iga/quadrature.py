@@ -5,9 +5,9 @@ With n points per direction a rule is exact
     line, quadrilateral, hexahedron   for degree 2n-1 in each variable (family "Q")
     triangle, tetrahedron             for total degree 2n-1 (family "P")
     wedge                             for total degree 2n-1 in (x, y) times degree 2n-1 in z (family "PQ")
-    pyramid                           for degree 2n-1 in each of a, b, c where x = a(1-c), y = b(1-c), z = c, which holds
-                                      all polynomials of degree 2n-1 and all products of two rational Bernstein
-                                      functions of degree n-1 (family "collapsed")
+    pyramid                           for degree 2n-1 in each of a, b, c where x = a(1-c), y = b(1-c), z = c: all
+                                      polynomials of degree 2n-1 and all products of two rational Bernstein functions
+                                      of degree n-1 (family "collapsed")
 
 Weights are positive and points are inside the cell. Axis letters: q point, d reference dimension.
 """
@@ -15,7 +15,7 @@ Weights are positive and points are inside the cell. Axis letters: q point, d re
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +54,7 @@ class Quadrature:
     factors: tuple[tuple[Array, Array], ...] | None
 
 
-@lru_cache(maxsize=None)
+@cache
 def gauss_jacobi(n: int, alpha: int) -> tuple[Array, Array]:
     """Gauss rule on [0, 1] for the weight (1-x)^alpha: points and weights, (n,) each."""
     x, w = roots_jacobi(n, float(alpha), 0.0)
@@ -64,7 +64,7 @@ def gauss_jacobi(n: int, alpha: int) -> tuple[Array, Array]:
     return points, weights
 
 
-@lru_cache(maxsize=None)
+@cache
 def gauss(cell: Cell, n: int | tuple[int, ...]) -> Quadrature:
     """Rule with n Gauss points per direction (see the module docstring for what it is exact).
 
@@ -96,9 +96,7 @@ def gauss(cell: Cell, n: int | tuple[int, ...]) -> Quadrature:
         points = np.column_stack([points[:, 0], (1.0 - points[:, 0]) * points[:, 1], points[:, 2]])
     elif cell.name == "pyramid":
         points = np.column_stack([points[:, :2] * (1.0 - points[:, 2:]), points[:, 2]])
-    tensor = FAMILIES[cell.name] == "Q"
+    family, degree = FAMILIES[cell.name], tuple(2 * m - 1 for m in counts)
     points.setflags(write=False)
     weights.setflags(write=False)
-    return Quadrature(
-        cell, points, weights, counts, tuple(2 * m - 1 for m in counts), FAMILIES[cell.name], factors if tensor else None
-    )
+    return Quadrature(cell, points, weights, counts, degree, family, factors if family == "Q" else None)
