@@ -326,7 +326,7 @@ def lagrange_to_bernstein(basis: LocalBasis, points: Array) -> Array:
     values = basis.tabulate(points, 0)[0]
     if values.shape[0] != values.shape[1] or np.linalg.cond(values) > 1e12:
         raise InputError(f"{len(points)} points do not determine the {basis.n} coefficients on a {basis.cell.name}")
-    return np.linalg.inv(values)
+    return np.asarray(np.linalg.inv(values), dtype=np.float64)
 
 
 @cache
