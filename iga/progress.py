@@ -1,0 +1,116 @@
+"""Progress of long work, on standard error.
+
+On a terminal a bar that vanishes when the work is done; elsewhere nothing, unless asked for, and then one plain line
+now and then. Standard output is never touched, so that ``--json`` stays one clean object.
+
+The environment variable ``IGA_PROGRESS`` overrides the choice: ``bar``, ``plain`` or ``none``.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sized
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar
+
+from iga.errors import InputError
+
+T = TypeVar("T")
+Style = Literal["auto", "bar", "plain", "none"]
+SECONDS_BETWEEN_LINES = 5.0
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where progress goes; made by `progress` or taken as the constant `QUIET`.
+
+    Attributes
+    ----------
+    style : "bar", "plain" or "none".
+    """
+
+    style: Style = "none"
+    _shown: list[Any] = field(default_factory=list, repr=False, compare=False)
+
+    def track(self, items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
+        """Yield the items and show how many are done; may be nested."""
+        if total is None and isinstance(items, Sized):
+            total = len(items)
+        if self.style == "bar":
+            yield from self._bar(items, label, total)
+        elif self.style == "plain":
+            yield from self._plain(items, label, total)
+        else:
+            yield from items
+
+    def say(self, message: str) -> None:
+        """Show one line that stays."""
+        if self.style == "none":
+            return
+        if self._shown:
+            self._shown[-1].console.print(message, highlight=False, markup=False)
+        else:
+            print(message, file=sys.stderr, flush=True)
+
+    def _bar(self, items: Iterable[T], label: str, total: int | None) -> Iterator[T]:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bars
+
+        if self._shown:  # an outer loop owns the display
+            bars = self._shown[-1]
+            task = bars.add_task(label, total=total)
+            try:
+                for item in items:
+                    yield item
+                    bars.advance(task)
+            finally:
+                bars.remove_task(task)
+            return
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
+            self._shown.append(bars)
+            task = bars.add_task(label, total=total)
+            try:
+                for item in items:
+                    yield item
+                    bars.advance(task)
+            finally:
+                self._shown.pop()
+
+    def _plain(self, items: Iterable[T], label: str, total: int | None) -> Iterator[T]:
+        begin = last = time.monotonic()
+        of = "" if total is None else f"/{total}"
+        for done, item in enumerate(items, start=1):
+            yield item
+            now = time.monotonic()
+            if now - last >= SECONDS_BETWEEN_LINES or done == total:
+                print(f"{label}: {done}{of} ({now - begin:.0f} s)", file=sys.stderr, flush=True)
+                last = now
+
+
+QUIET = Progress("none")
+
+
+def progress(style: Style = "auto") -> Progress:
+    """Return the progress display that suits where standard error goes.
+
+    Parameters
+    ----------
+    style : "auto" shows a bar on a terminal and nothing elsewhere; the others are taken as said. ``IGA_PROGRESS`` in
+        the environment replaces "auto".
+
+    Raises
+    ------
+    InputError : if ``IGA_PROGRESS`` is none of the known words.
+    """
+    if style == "auto":
+        said = os.environ.get("IGA_PROGRESS", "")
+        if said and said not in ("bar", "plain", "none"):
+            raise InputError(f"IGA_PROGRESS is {said!r}; it may be bar, plain or none")
+        if said:
+            return Progress(said)  # type: ignore[arg-type]
+        return Progress("bar" if sys.stderr.isatty() else "none")
+    return Progress(style)

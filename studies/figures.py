@@ -1,0 +1,207 @@
+"""Figures of studies: convergence plots with slope triangles, bars, and tables as heat maps.
+
+Matplotlib is loaded when the first figure is drawn (it takes seconds) and draws into files only.
+Colours are those of Okabe and Ito, told apart by everybody; markers repeat the distinction for print in black.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from iga.files import replacing
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5b5b5b", "#8c6d31")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
+STYLE: dict[str, Any] = {
+    "figure.facecolor": "white", "savefig.facecolor": "white", "savefig.dpi": 200, "savefig.bbox": "tight",
+    "font.family": "serif", "font.serif": ["STIXGeneral", "DejaVu Serif"], "mathtext.fontset": "stix", "font.size": 11,
+    "axes.titlesize": 11, "axes.labelsize": 11, "axes.linewidth": 0.8, "axes.axisbelow": True, "legend.fontsize": 9.5,
+    "legend.frameon": False, "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True, "ytick.right": True,
+    "lines.linewidth": 1.3, "lines.markersize": 5.5, "grid.color": "#dddddd", "grid.linewidth": 0.5,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Series:
+    """One curve of a convergence plot: x (k,) against y (k,), positive.
+
+    `rate` is the exponent drawn as a slope triangle under the last pair of points; None draws no triangle. Series of
+    equal `family` share a colour, and `dashed` sets two of one family apart.
+    """
+
+    label: str
+    x: Sequence[float]
+    y: Sequence[float]
+    rate: float | None = None
+    family: int | None = None
+    dashed: bool = False
+
+
+@contextmanager
+def drawing(path: str | Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (4.6, 3.8)) -> Iterator[Any]:
+    """Yield matplotlib axes (an array of them if there are several) and save the figure, whole or not at all.
+
+    The format follows the suffix of `path`: png, svg or pdf. `size` is that of one panel, in inches.
+    """
+    # A cache folder that cannot be written makes matplotlib print to standard error: give it one that can.
+    if "MPLCONFIGDIR" not in os.environ and not os.access(Path.home(), os.W_OK):
+        os.environ["MPLCONFIGDIR"] = tempfile.mkdtemp(prefix="matplotlib-")
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(rows, columns)
+        yield axes
+        with replacing(path) as temporary:
+            figure.savefig(temporary)
+
+
+def plot_convergence(
+    path: str | Path, series: Sequence[Series], x_label: str = "$h$", y_label: str = "error", title: str = ""
+) -> None:
+    """Draw one convergence plot into a file."""
+    with drawing(path) as axes:
+        convergence(axes, series, x_label, y_label, title)
+
+
+def convergence(axes: Any, series: Sequence[Series], x_label: str, y_label: str, title: str = "") -> None:
+    """Draw curves on doubly logarithmic axes, with a triangle of the stated slope at the fine end of each."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    families: dict[Any, int] = {}
+    for one in series:
+        number = families.setdefault(one.label if one.family is None else one.family, len(families))
+        axes.plot(
+            one.x, one.y, color=COLOURS[number % len(COLOURS)], marker=MARKERS[number % len(MARKERS)],
+            linestyle="--" if one.dashed else "-", markerfacecolor="white" if one.dashed else None, label=one.label,
+        )  # fmt: skip
+    axes.grid(True, which="major")
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    if title:
+        axes.set_title(title)
+    axes.margins(x=0.12, y=0.1)
+    _tick_levels(axes, np.unique(np.concatenate([np.asarray(one.x, dtype=float) for one in series])))
+    drawn: list[tuple[float, float]] = []
+    for one in series:
+        if one.rate is not None and len(one.x) >= 2:
+            _triangle(axes, one, drawn)
+    axes.legend(loc="best", handlelength=1.9, labelspacing=0.35)
+
+
+def _tick_levels(axes: Any, levels: np.ndarray) -> None:
+    """Put the ticks of a short x axis at the levels themselves: decades alone would leave one or two."""
+    from matplotlib.ticker import NullFormatter, NullLocator
+
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    if len(levels) > 6 or levels[-1] > 100.0 * levels[0]:
+        return
+    axes.set_xticks(levels, [_short(level) for level in levels])
+    axes.xaxis.set_minor_locator(NullLocator())
+
+
+def _short(value: float) -> str:
+    """Return 1/8 for 0.125, 2/3 for 0.6667, and few digits where there is no such fraction."""
+    fraction = Fraction(value).limit_denominator(6 if value > 0.5 else 4096)
+    exact = abs(float(fraction) - value) < 1e-3 * abs(value)
+    if exact and (fraction.numerator == 1 or fraction.denominator <= 6):
+        return str(fraction)
+    return f"{value:.3g}"
+
+
+def _triangle(axes: Any, one: Series, drawn: list[tuple[float, float]]) -> None:
+    """Draw a right triangle of slope `rate` just under the last pair of points."""
+    assert one.rate is not None
+    x1, x2 = np.log10(one.x[-1]), np.log10(one.x[-2])  # the fine end first
+    y1 = np.log10(one.y[-1])
+    width = 0.45 * (x2 - x1)
+    left, low = x1 + 0.25 * (x2 - x1), 0.0
+    # Under the curve where it is above its own chord start, by a constant share of the axis height.
+    bottom, top = np.log10(axes.get_ylim())
+    gap = 0.035 * (top - bottom)
+    slope = (np.log10(one.y[-2]) - y1) / (x2 - x1)
+    low = y1 + slope * (left - x1) - gap - max(0.0, (one.rate - slope) * width)
+    for other_left, other_low in drawn:
+        if abs(other_left - left) < abs(width) and abs(other_low - low) < 1.2 * gap:
+            return  # another triangle of about the same place says enough
+    drawn.append((left, low))
+    right, high = left + width, low + one.rate * width
+    corners = np.array([[left, low], [right, low], [right, high], [left, low]])
+    axes.plot(*10.0**corners.T, color="#444444", linewidth=0.8, marker="")
+    grey = {"color": "#444444", "fontsize": 8.5}
+    forward = width > 0
+    axes.annotate(
+        "1", 10.0 ** np.array([left + 0.5 * width, low]), (0, -2), textcoords="offset points", ha="center",
+        va="top" if high > low else "bottom", **grey,
+    )  # fmt: skip
+    axes.annotate(
+        _short(abs(one.rate)), 10.0 ** np.array([right, 0.5 * (low + high)]), (3 if forward else -3, 0),
+        textcoords="offset points", ha="left" if forward else "right", va="center", **grey,
+    )  # fmt: skip
+
+
+def plot_bars(
+    path: str | Path,
+    labels: Sequence[str],
+    values: dict[str, Sequence[float]],
+    y_label: str,
+    log: bool = False,
+    title: str = "",
+) -> None:
+    """Draw grouped bars: one group for every label, one colour for every key of `values`."""
+    with drawing(path, size=(max(4.6, 0.9 * len(labels) + 1.5), 3.4)) as axes:
+        width = 0.8 / len(values)
+        at = np.arange(len(labels), dtype=float)
+        for number, (name, heights) in enumerate(values.items()):
+            axes.bar(at - 0.4 + (number + 0.5) * width, heights, 0.92 * width, color=COLOURS[number], label=name)
+        axes.set_xticks(at, labels)
+        axes.tick_params(axis="x", length=0)
+        axes.set_ylabel(y_label)
+        if log:
+            axes.set_yscale("log")
+        axes.grid(True, axis="y")
+        if title:
+            axes.set_title(title)
+        if len(values) > 1:
+            axes.legend()
+
+
+def plot_heat_table(
+    path: str | Path,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    values: np.ndarray,
+    title: str = "",
+    form: str = ".1e",
+    log: bool = True,
+) -> None:
+    """Draw a table of numbers (r, c) whose cells are shaded by size; cells that are not finite stay empty."""
+    from matplotlib.colors import LogNorm
+
+    with drawing(path, size=(1.6 + 0.78 * len(columns), 0.9 + 0.34 * len(rows))) as axes:
+        shown = np.ma.masked_invalid(np.where(values > 0, values, np.nan) if log else values)
+        norm = LogNorm() if log else None
+        image = axes.imshow(shown, cmap="viridis", norm=norm, aspect="auto", alpha=0.85)
+        axes.set_xticks(range(len(columns)), columns)
+        axes.set_yticks(range(len(rows)), rows)
+        axes.tick_params(length=0, top=False, right=False)
+        for i, j in np.ndindex(*values.shape):
+            if np.isfinite(values[i, j]):
+                light = bool(np.ma.getmaskarray(shown)[i, j]) or image.norm(values[i, j]) > 0.55
+                text = format(values[i, j], form)
+                axes.text(j, i, text, ha="center", va="center", fontsize=8.5, color="black" if light else "white")
+        if title:
+            axes.set_title(title)
