@@ -36,7 +36,7 @@ from iga.cells import HEXAHEDRON, PYRAMID, QUADRILATERAL, Cell
 from iga.domain import Domain, Space
 from iga.errors import InputError
 from iga.files import replacing
-from iga.sampling import Quantity, Samples, evaluate, homogeneous, named_quantities, subdivision
+from iga.sampling import Quantity, evaluate_block, homogeneous, named_quantities, subdivision
 
 if TYPE_CHECKING:
     from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
@@ -189,12 +189,7 @@ def _coefficients(
     xi = greville(basis)
     centre = basis.cell.vertices.mean(axis=0)
     inside = centre + (1.0 - PULL) * (xi - centre)
-    elements = np.arange(domain.space.blocks[block].elements)
-    samples = Samples(domain, block, elements, inside)
-    if isinstance(quantity, np.ndarray):
-        values = samples.at(quantity.reshape(len(quantity), -1), space)
-    else:
-        values = evaluate(quantity, samples)
+    values = evaluate_block(quantity, space, domain, block, inside)
     if weights is not None:
         values = values * (weights @ basis.tabulate(inside, 0)[0].T)[..., None]
     return lagrange_to_bernstein(basis, inside) @ values
@@ -280,14 +275,11 @@ def linear_grid(domain: Domain, fields: Mapping[str, Any] | None = None, pieces:
         cell = block.basis.cell
         xi, cells = subdivision(cell, pieces or max(block.basis.degree))
         elements = np.arange(block.elements)
-        samples = Samples(domain, number, elements, xi)
-        points.append(samples.x.reshape(-1, 3))
-        inside = Samples(domain, number, elements, cell.vertices.mean(axis=0) * PULL + (1.0 - PULL) * xi)
+        points.append(evaluate_block(domain.points, domain.space, domain, number, xi).reshape(-1, 3))
+        inside = cell.vertices.mean(axis=0) * PULL + (1.0 - PULL) * xi
         for name, (quantity, space) in quantities.items():
-            if isinstance(quantity, np.ndarray):
-                values = samples.at(quantity.reshape(len(quantity), -1), space)
-            else:
-                values = evaluate(quantity, inside)
+            at = xi if isinstance(quantity, np.ndarray) else inside
+            values = evaluate_block(quantity, space, domain, number, at)
             data[name].append(values.reshape(-1, values.shape[-1]))
         own = HEXAHEDRON if cell.name == "pyramid" else cell
         shift = start + np.arange(block.elements)[:, None, None] * len(xi)

@@ -25,6 +25,9 @@ from iga.errors import InputError
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+PORTION = 1 << 18
+"""Points evaluated at once."""
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:
@@ -51,7 +54,7 @@ class Samples:
     @cached_property
     def J(self) -> Array:
         """Jacobian dx_i/dxi_j (m, q, 3, 3)."""
-        return self._reference_gradient(self.domain.space, self.domain.points)
+        return self.reference_gradient(self.domain.points)
 
     def at(self, coefficients: Array, space: Space | None = None) -> Array:
         """Values of a field with coefficients (n,) or (n, c): (m, q) or (m, q, c)."""
@@ -68,15 +71,16 @@ class Samples:
 
         Where the geometry is degenerate (a collapsed edge, a pyramid's apex) the result is not finite.
         """
-        local = self._reference_gradient(space or self.domain.space, coefficients)
+        local = self.reference_gradient(coefficients, space)
         determinant = np.linalg.det(self.J)
         J = np.where(determinant[..., None, None] == 0.0, np.eye(3), self.J)
         found = local @ np.linalg.inv(J)
         found[determinant == 0.0] = np.nan
         return found[..., 0, :] if coefficients.ndim == 1 else found
 
-    def _reference_gradient(self, space: Space, coefficients: Array) -> Array:
+    def reference_gradient(self, coefficients: Array, space: Space | None = None) -> Array:
         """Gradients (m, q, c, 3) with respect to reference coordinates."""
+        space = space or self.domain.space
         values, weights = homogeneous(space, self.block, coefficients, self.elements)
         B, dB = space.blocks[self.block].basis.tabulate(self.points, 1)
         q, b, d = dB.shape
@@ -111,10 +115,23 @@ def homogeneous(
     return both[..., :-1], both[..., -1]
 
 
-def evaluate(quantity: Quantity, samples: Samples) -> Array:
-    """Values (m, q, c) of a field given by coefficients or of a function of `Samples`; a scalar has c = 1."""
-    values = np.asarray(samples.at(quantity) if isinstance(quantity, np.ndarray) else quantity(samples), dtype=float)
-    return values.reshape(len(samples.elements), len(samples.points), -1)
+def evaluate(quantity: Quantity, space: Space, samples: Samples) -> Array:
+    """Values (m, q, c) of a field given by coefficients, or of a function of `Samples`; a scalar has c = 1."""
+    if isinstance(quantity, np.ndarray):
+        return samples.at(quantity.reshape(len(quantity), -1), space)
+    shape = (len(samples.elements), len(samples.points))
+    values = np.asarray(quantity(samples), dtype=float)
+    if values.shape[:2] != shape:
+        raise InputError(f"a function of samples returned an array {values.shape}; it must begin with {shape}")
+    return values.reshape(*shape, -1)
+
+
+def evaluate_block(quantity: Quantity, space: Space, domain: Domain, block: int, points: Array) -> Array:
+    """Values (e, q, c) on all elements of a block, found in portions that bound the memory in use."""
+    elements = np.arange(domain.space.blocks[block].elements)
+    step = max(1, PORTION // len(points))
+    portions = [elements[start : start + step] for start in range(0, len(elements), step)]
+    return np.concatenate([evaluate(quantity, space, Samples(domain, block, own, points)) for own in portions])
 
 
 def named_quantities(domain: Domain, fields: Mapping[str, Any]) -> dict[str, tuple[Quantity, Space]]:

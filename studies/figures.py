@@ -6,8 +6,6 @@ Colours are those of Okabe and Ito, told apart by everybody; markers repeat the 
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,17 +16,10 @@ from typing import Any
 import numpy as np
 
 from iga.files import replacing
+from iga.picture import STYLE, matplotlib
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5b5b5b", "#8c6d31")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
-STYLE: dict[str, Any] = {
-    "figure.facecolor": "white", "savefig.facecolor": "white", "savefig.dpi": 200, "savefig.bbox": "tight",
-    "font.family": "serif", "font.serif": ["STIXGeneral", "DejaVu Serif"], "mathtext.fontset": "stix", "font.size": 11,
-    "axes.titlesize": 11, "axes.labelsize": 11, "axes.linewidth": 0.8, "axes.axisbelow": True, "legend.fontsize": 9.5,
-    "legend.frameon": False, "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True, "ytick.right": True,
-    "lines.linewidth": 1.3, "lines.markersize": 5.5, "grid.color": "#dddddd", "grid.linewidth": 0.5,
-}  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Series:
@@ -52,10 +43,7 @@ def drawing(path: str | Path, rows: int = 1, columns: int = 1, size: tuple[float
 
     The format follows the suffix of `path`: png, svg or pdf. `size` is that of one panel, in inches.
     """
-    # A cache folder that cannot be written makes matplotlib print to standard error: give it one that can.
-    if "MPLCONFIGDIR" not in os.environ and not os.access(Path.home(), os.W_OK):
-        os.environ["MPLCONFIGDIR"] = tempfile.mkdtemp(prefix="matplotlib-")
-    import matplotlib as mpl
+    mpl = matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
