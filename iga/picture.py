@@ -50,7 +50,7 @@ def matplotlib() -> Any:
 
 def trimmed(picture: Pixels, margin: int = 4) -> Pixels:
     """Cut white borders off a picture (rows, columns, 3), all but a margin."""
-    drawn = (picture < 250).any(axis=-1)
+    drawn: NDArray[np.bool_] = np.min(picture, axis=-1) < 250
     if not drawn.any():
         return picture
     rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
@@ -101,7 +101,7 @@ def compose(
                 handleheight=0.9, labelspacing=0.5, borderaxespad=0.0,
             )  # fmt: skip
         canvas.draw()
-        made = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        made = trimmed(np.asarray(canvas.buffer_rgba())[..., :3].copy(), 16)
     if path is not None:
         from PIL import Image
 

@@ -221,7 +221,7 @@ def _scene(size: tuple[int, int]) -> Any:
     os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", kind)
     import pyvista as pv
 
-    scene = pv.Plotter(off_screen=True, window_size=list(size), lighting="none")
+    scene: Any = pv.Plotter(off_screen=True, window_size=list(size), lighting="none")
     scene.set_background("white")
     # Key light over the eye's left shoulder, fill from below and the right, so that no side of a solid is black.
     for position, strength in (((-0.5, 0.8, 1.1), 0.7), ((1.3, -0.4, 0.8), 0.4), ((-0.2, -1.0, 0.7), 0.25)):

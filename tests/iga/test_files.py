@@ -1,0 +1,68 @@
+"""Files appear whole or not at all; progress keeps to standard error."""
+
+from __future__ import annotations
+
+import pytest
+
+from iga.errors import InputError
+from iga.files import replacing, write_text
+from iga.progress import QUIET, Progress, progress
+
+
+def interrupted(path, error):
+    with replacing(path) as temporary:
+        temporary.write_text("half")
+        raise error
+
+
+def test_failure_leaves_the_old_file(tmp_path):
+    path = tmp_path / "table.csv"
+    write_text(path, "old\n")
+    with pytest.raises(RuntimeError, match="interrupted"):
+        interrupted(path, RuntimeError("interrupted"))
+    assert path.read_text() == "old\n"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_full_disk_is_one_line(tmp_path):
+    path = tmp_path / "table.csv"
+    write_text(path, "old\n")
+    with pytest.raises(InputError, match=r"table\.csv: cannot be written: No space left"):
+        interrupted(path, OSError(28, "No space left on device"))
+    assert path.read_text() == "old\n"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_missing_folder_is_named(tmp_path):
+    with pytest.raises(InputError, match="no folder"):
+        write_text(tmp_path / "none" / "a.txt", "x")
+    with pytest.raises(InputError, match="is a folder"):
+        write_text(tmp_path, "x")
+
+
+def test_progress_is_silent_away_from_a_terminal(capsys, monkeypatch):
+    monkeypatch.delenv("IGA_PROGRESS", raising=False)
+    assert list(progress().track(range(3), "work")) == [0, 1, 2]
+    progress().say("hello")
+    assert list(QUIET.track([5], "work")) == [5]
+    out = capsys.readouterr()
+    assert out.out == out.err == ""
+
+
+@pytest.mark.parametrize("style", ["plain", "bar"])
+def test_progress_writes_to_standard_error_only(style, capsys):
+    shown = Progress(style)
+    for _ in shown.track(range(2), "outer"):
+        assert list(shown.track(iter("abc"), "inner")) == ["a", "b", "c"]
+        shown.say("a line")
+    out = capsys.readouterr()
+    assert out.out == ""
+    assert "a line" in out.err
+
+
+def test_progress_by_environment(monkeypatch):
+    monkeypatch.setenv("IGA_PROGRESS", "plain")
+    assert progress().style == "plain"
+    monkeypatch.setenv("IGA_PROGRESS", "loud")
+    with pytest.raises(InputError, match="bar, plain or none"):
+        progress()
