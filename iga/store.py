@@ -18,11 +18,8 @@ and the arrays are
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,28 +32,9 @@ from iga.block import Block, Extraction, Kronecker, Patterns
 from iga.cells import CELLS
 from iga.domain import Domain, Facets, Provenance, Space, check
 from iga.errors import FormatError, InputError
+from iga.files import replacing
 
 VERSION = 1
-
-
-@contextlib.contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
-    """Write under a temporary name beside ``path`` and rename at the end, so that a file is whole or not there.
-
-    Raises
-    ------
-    InputError : the file cannot be written (no such folder, no permission, disk full).
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
 
 
 def save(domain: Domain, path: str | Path) -> None:
@@ -108,7 +86,7 @@ def save(domain: Domain, path: str | Path) -> None:
         "report": dict(domain.report),
     }
     text = json.dumps(header, default=_plain).encode()
-    with whole_file(path) as temporary, temporary.open("wb") as stream:
+    with replacing(path) as temporary, temporary.open("wb") as stream:
         np.savez(stream, allow_pickle=False, header=np.frombuffer(text, dtype=np.uint8), **arrays)
 
 

@@ -103,9 +103,8 @@ def _refine(options: argparse.Namespace) -> Answer:
 
 
 def _solve(options: argparse.Namespace) -> Answer:
-    from iga.export import write_vtu
-
     import problems
+    from iga.export import write_vtu
     from iga.store import load
     from studies.describe import peak_mb, require_valid
 
@@ -133,7 +132,6 @@ def _solve(options: argparse.Namespace) -> Answer:
 
 def _study(options: argparse.Namespace) -> Answer:
     from iga.progress import progress
-
     from studies.study import STUDIES, check_study, list_studies, run_study
 
     if options.action == "list":
@@ -191,7 +189,6 @@ def _sources(options: argparse.Namespace) -> Answer:
 
 def _demo(options: argparse.Namespace) -> Answer:
     from iga.progress import progress
-
     from studies.demo import demo
 
     return dict(demo(Path(options.out), progress()))
