@@ -1,14 +1,15 @@
 r"""What is left of smoothness when two C1 Bezier tetrahedra become hexahedra (Proposition 5).
 
 Two tetrahedra share the face of vertices 0, 1, 2; the fourth vertex W of the second has barycentric coordinates
-w = (w0, w1, w2, w3), w3 < 0, in the first. Their polynomials S1, S2 join with continuous first derivatives if and only if
-(Farin 1986)
+w = (w0, w1, w2, w3), w3 < 0, in the first. Their polynomials S1, S2 join with continuous first derivatives if and only
+if (Farin 1986)
 
     T2[a0, a1, a2, 0] = T1[a0, a1, a2, 0],
     T2[a0, a1, a2, 1] = sum_v w_v T1[(a0, a1, a2, 0) + e_v],     a0 + a1 + a2 = n - 1.
 
 The hexahedra X1 = S1 o phi1 and X2 = S2 o phi2 then agree on the shared faces, and their derivatives agree after the
-change of parameters: with D1, D2 the hexahedral maps of the two straight reference tetrahedra and d the direction across,
+change of parameters: with D1, D2 the hexahedral maps of the two straight reference tetrahedra and d the direction
+across,
 
     dX2/dd = alpha dX1/dd + beta dX1/ds + gamma dX1/dt,     (alpha, beta, gamma) = (grad D1)^-1 dD2/dd,
 

@@ -11,9 +11,9 @@ The Jacobian determinant is (1-r)^2 (1-s): face r = 1 collapses to a point, face
 
 **Theorem 3.** The sub-hexahedron at vertex m with the other vertices p, q, o along r, s, t has as corners the vertex m,
 the midpoints of its edges, the centroids of its faces and that of the tetrahedron, so each barycentric coordinate is a
-trilinear function lambda(r, s, t). Column a of M_m holds multinomial(n; a) prod_v lambda_v^{a_v} in Bernstein form. Powers
-are multiplied as scaled Bernstein coefficients (coefficient times binomials) by convolution: nothing is subtracted,
-entries are >= 0, every row sums to one, so applying M_m takes convex combinations.
+trilinear function lambda(r, s, t). Column a of M_m holds multinomial(n; a) prod_v lambda_v^{a_v} in Bernstein form.
+Powers are multiplied as scaled Bernstein coefficients (coefficient times binomials) by convolution: nothing is
+subtracted, entries are >= 0, every row sums to one, so applying M_m takes convex combinations.
 
 Source: Xu, Jin, Xiao, Wu, Mourrain, Rabczuk, "Exact conversion from Bezier tetrahedra to Bezier hexahedra", 2018,
 theorems 1 and 3, equations (5)-(14) with their misprints corrected (the third row of (7), the ranges of (5) and (6)).
@@ -24,7 +24,7 @@ Axis letters: e tetrahedron, m sub-hexahedron, n tetrahedral coefficient, b hexa
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import cache
 from math import comb, factorial
 
 import numpy as np
@@ -73,7 +73,7 @@ def line_elevation(low: int, high: int) -> Array:
     )
 
 
-@lru_cache(maxsize=None)
+@cache
 def degenerate_matrix(degree: int) -> Array:
     """Matrix M of Theorem 1, ((n+1)^3, C(n+3, 3)), for degree n >= 1."""
     n = _checked(degree)
@@ -84,7 +84,7 @@ def degenerate_matrix(degree: int) -> Array:
     return _frozen(matrix.reshape((n + 1) ** 3, -1))
 
 
-@lru_cache(maxsize=None)
+@cache
 def hex_matrices(degree: int) -> Array:
     """Matrices M_m of Theorem 3, (4, (n+1)^3, C(n+3, 3)), for degree n >= 1; m is the vertex that each keeps."""
     n = _checked(degree)
@@ -123,7 +123,7 @@ def _first_matrix(n: int, exponents: Index) -> Array:
     return matrix
 
 
-@lru_cache(maxsize=None)
+@cache
 def _barycentric_corners() -> Array:
     """Barycentric coordinates (8, 4) of the corners of sub-hexahedron 0: 1/|S| on S = {0} and the axes in use."""
     held = np.column_stack([np.ones(8), HEXAHEDRON.vertices])

@@ -1,10 +1,11 @@
 r"""Which hexahedra are converted tetrahedra, and which tetrahedra they were (Theorem 2, and Theorem 3 backwards).
 
-**One degenerate hexahedron.** A hexahedron of degree (n, n, n) is a tetrahedron of degree n exactly if every slice i = 0..n
-along r is a triangular surface of degree n - i in (s, t), that is, if its control points lie in the column space of the
-matrix M of Theorem 1. (Slice 0 counts; the printed range i = 1..n misses it.) Which of its faces collapses is not known
-beforehand, so the symmetries of the cube are tried. Reflecting t only exchanges two vertices of the tetrahedron and leaves
-the column space as it is, so the 24 rotations stand for all 48 symmetries, and a rotation keeps the orientation.
+**One degenerate hexahedron.** A hexahedron of degree (n, n, n) is a tetrahedron of degree n exactly if every slice
+i = 0..n along r is a triangular surface of degree n - i in (s, t), that is, if its control points lie in the column
+space of the matrix M of Theorem 1. (Slice 0 counts; the printed range i = 1..n misses it.) Which of its faces collapses
+is not known beforehand, so the symmetries of the cube are tried. Reflecting t only exchanges two vertices of the
+tetrahedron and leaves the column space as it is, so the 24 rotations stand for all 48 symmetries, and a rotation keeps
+the orientation.
 
 **Four hexahedra.** The matrix M_m of Theorem 3 has full rank too, so one hexahedron alone determines the tetrahedron it
 would be a quarter of, up to which corner it keeps (8 choices). Candidates that share the opposite corner, the
@@ -18,7 +19,7 @@ Source: Xu et al. 2018, theorems 2 and 3.  Axis letters: e hexahedron, g group o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from itertools import permutations, product
 
 import numpy as np
@@ -45,9 +46,10 @@ class Detection:
     ----------
     found : (e,) bool, accepted within the tolerance.
     coefficients : (e, C(n+3, 3), 3) Bernstein coefficients of the tetrahedra, meaningless where not found.
-    residual : (e,) largest distance of a control point from the best fit, relative to the size of the hexahedron; where no
+    residual : (e,) largest distance of a control point from the best fit, relative to the hexahedron's size; where no
         face is near a point it is a lower bound.
-    point_face, line_face : (e,) number of the hexahedron's face that collapses to a point and to a line, -1 if not found.
+    point_face, line_face : (e,) the face that collapses to a point and the one that collapses to a line, -1 if not
+        found.
     """
 
     found: NDArray[np.bool_]
@@ -132,7 +134,7 @@ def hex_degree(coefficients: Array) -> int:
 _SYMMETRIES = tuple((axes, flips) for axes in permutations(range(3)) for flips in product((0, 1), repeat=3))
 
 
-@lru_cache(maxsize=None)
+@cache
 def cube_symmetries(n: int) -> Index:
     """The 48 ways of turning and reflecting a hexahedron's control points, (48, (n+1)^3).
 
@@ -164,7 +166,7 @@ def hex_groups_to_tets(coefficients: Array, tolerance: float = 1e-10) -> tuple[I
 
     Parameters
     ----------
-    coefficients : (e, (n+1)^3, 3) Bernstein coefficients of hexahedra of degree (n, n, n), in any order and turned anyhow.
+    coefficients : (e, (n+1)^3, 3) Bernstein coefficients of hexahedra of degree (n, n, n), in any order, turned anyhow.
     tolerance : largest accepted distance of a control point, relative to the tetrahedron's bounding box.
 
     Returns

@@ -81,8 +81,8 @@ def checked_mesh(
 
     Raises
     ------
-    InputError : no tetrahedra, coordinates that are not finite, a vertex twice in a tetrahedron, a tetrahedron given twice,
-        one without volume, a face with more than two tetrahedra. Numbers in messages count from 0.
+    InputError : no tetrahedra, coordinates that are not finite, a vertex twice in a tetrahedron, a tetrahedron given
+        twice, one without volume, a face with more than two tetrahedra. Numbers in messages count from 0.
     """
     vertices = np.asarray(vertices, dtype=np.int64)
     coefficients = np.asarray(coefficients, dtype=float)
@@ -95,7 +95,7 @@ def checked_mesh(
     determinant = straight_determinants(coefficients)
     _check_volume(determinant, coefficients)
 
-    face, sides, lone = _pair_faces(compact, used)
+    sides, lone = _pair_faces(compact, used)
     flip, parts, folded = _orient(compact, determinant, sides)
     swap = swap_columns(degree)
     compact = np.where(flip[:, None], compact[:, [0, 3, 2, 1]], compact)
@@ -150,11 +150,11 @@ def _check_volume(determinant: Array, coefficients: Array) -> None:
     longest = np.sqrt((edges**2).sum(axis=2).max(axis=1))
     bad = np.flatnonzero(~(np.abs(determinant) > _FLAT * longest**3))
     if len(bad):
-        raise InputError(f"tetrahedron {bad[0]} has no volume: its four vertices lie in a plane ({len(bad)} such in all)")
+        raise InputError(f"tetrahedron {bad[0]} has no volume: its vertices lie in a plane ({len(bad)} such in all)")
 
 
-def _pair_faces(vertices: Index, names: Index) -> tuple[Index, Index, Index]:
-    """Face numbers (e, 4); pairs (k, 2, 2) of (tetrahedron, face) that share one; those (f, 2) that are alone."""
+def _pair_faces(vertices: Index, names: Index) -> tuple[Index, Index]:
+    """Pairs (k, 2, 2) of (tetrahedron, face) that share one; those (f, 2) that are alone."""
     corners = vertices[:, FACES].reshape(-1, 3)
     key = entity_keys(corners, int(vertices.max()) + 1)
     rank = np.argsort(key, kind="stable")
@@ -163,16 +163,15 @@ def _pair_faces(vertices: Index, names: Index) -> tuple[Index, Index, Index]:
     count = np.diff(np.concatenate([start, [len(ordered)]]))
     if count.max() > 2:
         at = rank[start[np.argmax(count > 2)]]
-        face = ", ".join(str(v) for v in sorted(names[corners[at]].tolist()))
+        named = ", ".join(str(v) for v in sorted(names[corners[at]].tolist()))
         raise InputError(
-            f"the face with vertices {face} belongs to {int(count[count > 2][0])} tetrahedra; at most two can share a face"
+            f"the face with vertices {named} belongs to {int(count[count > 2][0])} tetrahedra (non-manifold); "
+            "at most two can share a face"
         )
-    face = np.empty(len(key), dtype=np.int64)
-    face[rank] = np.repeat(np.arange(len(start)), count)
     double = start[count == 2]
     sides = np.stack([rank[double], rank[double + 1]], axis=1)
     single = np.sort(rank[start[count == 1]])
-    return face.reshape(-1, 4), np.stack(np.divmod(sides, 4), axis=-1), np.stack(np.divmod(single, 4), axis=-1)
+    return np.stack(np.divmod(sides, 4), axis=-1), np.stack(np.divmod(single, 4), axis=-1)
 
 
 def _orient(vertices: Index, determinant: Array, sides: Index) -> tuple[NDArray[np.bool_], int, int]:

@@ -12,7 +12,7 @@ meshio turns ten-node tetrahedra of Gmsh into VTK's order and leaves all higher 
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ ORDERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 
 
-@lru_cache(maxsize=None)
+@cache
 def node_exponents(degree: int, order: str) -> Index:
     """Barycentric exponents (C(n+3, 3), 4) of the nodes in the order "gmsh" or "vtk"."""
     if order not in ORDERS:
@@ -39,7 +39,7 @@ def node_exponents(degree: int, order: str) -> Index:
     return _lattice(degree, 4, edges, faces)
 
 
-@lru_cache(maxsize=None)
+@cache
 def node_columns(degree: int, order: str) -> Index:
     """For each Bernstein function (exponents descending) the position of its domain point in the order."""
     place = {tuple(a): k for k, a in enumerate(node_exponents(degree, order).tolist())}

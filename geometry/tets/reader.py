@@ -1,8 +1,8 @@
 r"""Read linear and curved tetrahedral meshes of any Lagrange degree from the formats that meshio knows.
 
 Node values turn into Bernstein coefficients by one small matrix per degree, the inverse of the Bernstein functions at
-the nodes, so the file's geometry is kept exactly. Where the nodes of a curved tetrahedron lie depends on the format; the
-documented order is used, and geometry is the safety net: the lattice through the four vertices must be near the nodes.
+the nodes, so the file's geometry is kept exactly. Where the nodes of a curved tetrahedron lie depends on the format:
+the documented order is used, and geometry is the safety net, the lattice through the vertices must be near the nodes.
 
 Whatever meshio does with bad bytes (raise, print, exit) comes out as one `FormatError` that names the file.
 
@@ -84,11 +84,11 @@ def read_tets(path: str | Path, tags: bool = True) -> TetMesh:
 
 
 def _load(path: Path) -> meshio.Mesh:
-    """meshio's answer, or a FormatError, whatever meshio does."""
+    """Meshio's answer, or a FormatError, whatever meshio does."""
     if not path.is_file():
         raise FormatError(f"{path}: {'is a folder, not a file' if path.is_dir() else 'no such file'}")
     if not any(path.name.lower().endswith(ending) for ending in extensions()):
-        raise FormatError(f"{path}: the ending {path.suffix!r} is none of a known mesh format ({' '.join(extensions())})")
+        raise FormatError(f"{path}: {path.suffix!r} is no ending of a known mesh format ({' '.join(extensions())})")
     said = io.StringIO()
     try:
         with (
@@ -130,7 +130,7 @@ def _points(mesh: meshio.Mesh, path: Path) -> Array:
 
 
 def _kind(name: str) -> str:
-    """meshio's cell name without its number of nodes."""
+    """Meshio's cell name without its number of nodes."""
     lagrange = re.fullmatch(r"VTK_LAGRANGE_(\w+)", name)
     if lagrange:
         word = lagrange[1].lower()
@@ -143,13 +143,14 @@ def _refuse_others(cells: list[tuple[str, NDArray[Any]]], path: Path) -> None:
     counts: dict[str, int] = {}
     for kind, data in cells:
         counts[kind] = counts.get(kind, 0) + len(data)
-    volume = {k: n for k, n in counts.items() if k not in ("vertex", "line", "triangle", "quad", "polygon", "tetra") and n}
+    lower = ("vertex", "line", "triangle", "quad", "polygon")
+    volume = {k: n for k, n in counts.items() if n and k not in lower and k != "tetra"}
     said = " and ".join(f"{n} {_PLURALS.get(k, k)}" for k, n in volume.items())
     if not counts.get("tetra"):
-        surface = " and ".join(f"{n} {_PLURALS.get(k, k)}" for k, n in counts.items() if n and k in ("triangle", "quad"))
-        raise InputError(f"{path}: holds {said or surface or 'no cells'}, no tetrahedra; the source tets needs a tet mesh")
+        surface = " and ".join(f"{n} {_PLURALS.get(k, k)}" for k, n in counts.items() if n and k in lower[2:])
+        raise InputError(f"{path}: holds {said or surface or 'no cells'} but no tetrahedra; give a tet mesh")
     if volume:
-        raise InputError(f"{path}: holds {said} besides {counts['tetra']} tetrahedra; the source tets needs tetrahedra only")
+        raise InputError(f"{path}: holds {said} besides {counts['tetra']} tetrahedra; give a mesh of tetrahedra only")
 
 
 def _connectivity(data: NDArray[Any], nodes: int, path: Path) -> Index:

@@ -1,7 +1,7 @@
 r"""Tet meshes made by formula: a cube of Kuhn tetrahedra and a curved ball, for demonstrations, studies and tests.
 
-The cube is cut into n^3 cells of six tetrahedra along their space diagonals. The ball starts from the eight tetrahedra of
-an octahedron (centre and one face each), refined and mapped by
+The cube is cut into n^3 cells of six tetrahedra along their space diagonals. The ball starts from the eight tetrahedra
+of an octahedron (centre and one face each), refined and mapped by
 
     x -> x (1 - w + w |x|_1 / |x|_2),    w = |x|_1^2,
 
@@ -42,7 +42,9 @@ def cube(n: int = 2, degree: int = 1) -> TetMesh:
     vertices = (lattice[..., 0] * (n + 1) + lattice[..., 1]) * (n + 1) + lattice[..., 2]
     faces, corners = vertices[:, FACES].reshape(-1, 3), lattice[:, FACES].reshape(-1, 3, 3)
     groups = {
-        f"{axis}{side}": faces[(corners[:, :, c] == side * n).all(axis=1)] for c, axis in enumerate("xyz") for side in (0, 1)
+        f"{axis}{side}": faces[(corners[:, :, c] == side * n).all(axis=1)]
+        for c, axis in enumerate("xyz")
+        for side in (0, 1)
     }
     mesh = checked_mesh(vertices, lattice / n, groups)
     return _raised(mesh, degree)

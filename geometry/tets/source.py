@@ -1,12 +1,11 @@
 r"""The geometry source "tets": meshes of linear and curved tetrahedra as Bezier tetrahedra or hexahedra.
 
     convert = "none"   C0 Bezier tetrahedra, extraction the identity
-    convert = "hex4"   four hexahedra for each tetrahedron (Theorem 3), a conforming hexahedral complex with its own C0 space
+    convert = "hex4"   four hexahedra for each tetrahedron (Theorem 3), conforming, with their own C0 space
     convert = "hex1"   one degenerate hexahedron for each tetrahedron (Theorem 1)
 
 A degenerate hexahedron carries the functions of its tetrahedron: with P = M T the tetrahedral function i is the
-combination sum_b M[b, i] B_b of the hexahedral Bernstein functions, so the extraction C = M^T makes the space *equal* to
-the tetrahedral one, glued exactly as that is. (All (n+1)^3 Bernstein functions would not do: they have no common value
+combination sum_b M[b, i] B_b of hexahedral Bernstein functions, so the extraction C = M^T makes the space *equal* to the tetrahedral one, glued exactly as that is. (All (n+1)^3 Bernstein functions would not do: they have no common value
 where the hexahedron collapses, so their gradients are unbounded there.)
 
 Refinement is exact and nested: tetrahedra by Bey's red refinement, hexahedra of "hex4" by de Casteljau, "hex1" by
@@ -239,8 +238,8 @@ def _check_gap(space: Space, points: Array, coefficients: Array, to_hexes: bool)
         if gap.max() > 1e-9 * size:
             element = rows.start + int(gap.argmax())
             raise InputError(
-                f"tetrahedron {element // 4 if to_hexes else element} and a neighbour disagree on a shared curved face by "
-                f"{gap.max():.2g}; the mesh does not fit together"
+                f"tetrahedron {element // 4 if to_hexes else element} and a neighbour disagree on a shared curved face "
+                f"by {gap.max():.2g}; the mesh does not fit together"
             )
 
 

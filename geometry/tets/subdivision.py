@@ -2,7 +2,7 @@ r"""Refinement of Bezier tetrahedra and hexahedra into eight, exactly and face t
 
 **Tetrahedra**: Bey's red refinement. Four children sit at the vertices; the octahedron between them is cut along the
 diagonal from the midpoint of edge 02 to that of edge 13. With the order of vertices below, repeated refinement produces
-at most three similarity classes from any tetrahedron, so quality stays bounded; a face is cut through its three midpoints
+at most three similarity classes from any tetrahedron, so quality stays bounded; a face is cut through its midpoints
 whatever the diagonal, so neighbours always fit. A child's Bezier coefficients are values of the parent's blossom at the
 child's vertices (J. Bey, "Tetrahedral grid refinement", Computing 55, 1995, with children turned to be positive:
 exchanging vertices 0 and 2 keeps the diagonal).
@@ -14,7 +14,7 @@ Axis letters: e parent, k child, n coefficient, v vertex, c component.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ _RED = (
 )
 
 
-@lru_cache(maxsize=None)
+@cache
 def tet_children() -> Array:
     """Barycentric coordinates (8, 4, 4) in the parent of each child's vertices, all children positive."""
     unit = np.eye(4)
@@ -49,13 +49,13 @@ def tet_children() -> Array:
     return made
 
 
-@lru_cache(maxsize=None)
+@cache
 def hex_children() -> Array:
     """Reference coordinates (8, 8, 3) in the parent of each child's vertices; child (i, j, k) is 4 i + 2 j + k."""
     return (HEXAHEDRON.vertices[:, None] + HEXAHEDRON.vertices) / 2
 
 
-@lru_cache(maxsize=None)
+@cache
 def blossom_matrix(degree: int, corners: tuple[tuple[float, ...], ...]) -> Array:
     """Matrix (C, C) from a tetrahedron's coefficients to those of the sub-tetrahedron with barycentric ``corners``.
 
@@ -77,7 +77,7 @@ def blossom_matrix(degree: int, corners: tuple[tuple[float, ...], ...]) -> Array
     return rows
 
 
-@lru_cache(maxsize=None)
+@cache
 def tet_subdivision(degree: int) -> Array:
     """Matrices (8, C, C) from a tetrahedron's coefficients to those of its children."""
     return np.stack([blossom_matrix(degree, tuple(map(tuple, child))) for child in tet_children().tolist()])
@@ -143,7 +143,7 @@ def _number_entities(vertices: Index, entities: Index, total: int) -> tuple[Inde
     return np.asarray(inverse, dtype=np.int64).reshape(len(vertices), -1), len(unique)
 
 
-@lru_cache(maxsize=None)
+@cache
 def face_children(cell: Cell) -> Index:
     """For each face of the parent its four children's (child, face), (faces, 4, 2)."""
     children = tet_children() @ TETRAHEDRON.vertices if cell is TETRAHEDRON else hex_children()

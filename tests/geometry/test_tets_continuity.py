@@ -47,6 +47,6 @@ def test_c0_pairs_do_not(degree):
 
 
 def test_an_apex_on_the_wrong_side_is_refused():
-    first, second, apex = c1_pair(2, seed=9)
+    first, second, _ = c1_pair(2, seed=9)
     with pytest.raises(InputError, match="side of the first"):
         face_continuity(first, second, np.array([0.1, 0.1, 0.1, 0.7]), POINTS)

@@ -236,7 +236,7 @@ def test_jacobian_of_the_map_is_bounded_away_from_zero():
         at_corner = values[[int(np.flatnonzero((lattice == v).all(axis=1))[0]) for v in HEXAHEDRON.vertices]]
         on = HEXAHEDRON.vertices.sum(axis=1).astype(int)
         assert np.allclose(at_corner, np.array([1 / 8, 1 / 18, 1 / 48, 1 / 108])[on], atol=1e-15)
-    
+
 
 @pytest.mark.parametrize("order", list(permutations(range(4))))
 def test_neighbours_share_control_points_in_every_numbering(order):

@@ -126,7 +126,7 @@ def test_refinement_changes_nothing_but_the_space(convert):
         finer = refine(domain, levels, elevate)
         check(finer)
         assert volume(finer) == pytest.approx(exact, rel=1e-12)
-        by_boundary, normal = closing(finer)
+        by_boundary, _ = closing(finer)
         assert by_boundary == pytest.approx(exact, rel=1e-12)
         assert set(finer.boundaries) == set(domain.boundaries)
         assert finer.space.blocks[0].elements == domain.space.blocks[0].elements * 8**levels
@@ -261,8 +261,11 @@ def test_tetrahedra_that_do_not_fit_together_are_refused():
 
 @pytest.mark.parametrize(
     ("file", "expected"),
-    [("sphere_P2.msh", 4.11457), ("sphere_P4.msh", 4.18886), ("sphere_fine_P3.msh", 0.523629), ("escher_P2.vtk", 6.38686),
-     ("bunny.mesh", 27526.9), ("spot.mesh", 0.71679), ("torus.msh", 0.0726544), ("unit_cell.msh", 0.104)],
+    [
+        ("sphere_P2.msh", 4.11457), ("sphere_P4.msh", 4.18886), ("sphere_fine_P3.msh", 0.523629),
+        ("escher_P2.vtk", 6.38686), ("bunny.mesh", 27526.9), ("spot.mesh", 0.71679), ("torus.msh", 0.0726544),
+        ("unit_cell.msh", 0.104),
+    ],
 )
 def test_real_meshes(file, expected, data):
     for convert in CONVERSIONS:
