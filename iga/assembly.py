@@ -1,7 +1,9 @@
 """Assembly of matrices, vectors and integrals from integrands.
 
-Unknown ``i*c + a`` is component a of function i. Local arrays are added in coordinate form chunk by chunk; the result
-is a CSR matrix with sorted, unique entries.
+Unknown ``i*c + a`` is component a of function i. The built-in integrands over the volume go through compiled kernels
+(`iga.forms`, `iga.frame`) into the sparsity of the space (`iga.sparsity`), on all threads. Any other integrand, and
+everything on boundaries, is called chunk by chunk and added in coordinate form; `reference_matrix` and
+`reference_vector` do this for all integrands. The result is a CSR matrix with sorted, unique entries.
 
 Axis letters: e element, n function on the element, c component.
 """
@@ -9,6 +11,7 @@ Axis letters: e element, n function on the element, c component.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +20,12 @@ from scipy.sparse import coo_array, csr_array
 from iga.chunk import Chunk, chunks, facet_chunks
 from iga.domain import Domain, Facets
 from iga.field import Coefficient, evaluate
+from iga.forms import NotSymmetricError, buffers, control_points, known, site, source, terms
+from iga.frame import Frame, Rows, add_matrices, distribute, frames
+from iga.integrands import Elasticity, Load
+from iga.kernels import pattern as kernels
+from iga.parallel import ranges, run
+from iga.sparsity import finish, sparsity
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -55,6 +64,19 @@ def matrix(
     (N*c, N*c)
     """
     c = int(getattr(integrand, "components", 1)) if components is None else components
+    if boundary is None and known(integrand) and c == getattr(integrand, "components", 1) and _solid(domain):
+        try:
+            return _compiled_matrix(domain, integrand, points, c)
+        except NotSymmetricError:
+            pass
+    return reference_matrix(domain, integrand, points, boundary, c)
+
+
+def reference_matrix(
+    domain: Domain, integrand: Integrand, points: int | None, boundary: Boundary | None, components: int
+) -> csr_array:
+    """Assemble a matrix by calling the integrand on every chunk; parameters as in `matrix`."""
+    c = components
     size = domain.space.n * c
     rows, columns, values = [], [], []
     for chunk in walk(domain, points, boundary):
@@ -78,6 +100,16 @@ def vector(
 ) -> Array:
     """Assemble a vector (N*c,) from an integrand that returns (e, n*c); parameters as in `matrix`."""
     c = int(getattr(integrand, "components", 1)) if components is None else components
+    if boundary is None and type(integrand) is Load and c == integrand.components and _solid(domain):
+        return _compiled_vector(domain, integrand, points)
+    return reference_vector(domain, integrand, points, boundary, c)
+
+
+def reference_vector(
+    domain: Domain, integrand: Integrand, points: int | None, boundary: Boundary | None, components: int
+) -> Array:
+    """Assemble a vector by calling the integrand on every chunk; parameters as in `vector`."""
+    c = components
     result = np.zeros(domain.space.n * c)
     for chunk in walk(domain, points, boundary):
         local = integrand(chunk)
@@ -101,3 +133,83 @@ def integral(
 def volume(domain: Domain, points: int | None = None) -> float:
     """Signed volume of the solid."""
     return float(sum(chunk.dx.sum() for chunk in chunks(domain, points)))
+
+
+def _solid(domain: Domain) -> bool:
+    """Whether all cells are three-dimensional, as the kernels need."""
+    return bool(domain.space.blocks) and all(block.basis.cell.dim == 3 for block in domain.space.blocks)
+
+
+def _compiled_matrix(domain: Domain, integrand: Integrand, points: int | None, components: int) -> csr_array:
+    """`matrix` of a known integrand over the volume.
+
+    Each thread takes a run of elements. Rows that an earlier thread writes to as well are kept apart, at the end of the
+    array of entries, and added when all are done, so that the result does not depend on timing.
+    """
+    space, c = domain.space, components
+    pattern = sparsity(space)
+    control = control_points(domain)
+    length = np.diff(pattern.indptr)
+    begin = c * c * pattern.indptr[:-1]
+    all_frames = frames(space, points, 8 if isinstance(integrand, Elasticity) else 1)
+    parts = [ranges(f.block.elements) for f in all_frames]
+    begins, extra = [], 0
+    for f, runs in zip(all_frames, parts):
+        taken = np.zeros(space.n, dtype=np.bool_)
+        for number, (lo, hi) in enumerate(runs):
+            own = begin
+            if len(runs) > 1:
+                used = np.zeros(space.n, dtype=np.bool_)
+                kernels.touched(f.block.dofs[lo:hi], used)
+                shared = np.flatnonzero(used & taken)
+                taken |= used
+                if number:
+                    own = begin.copy()
+                    sizes = c * c * length[shared]
+                    ends = np.cumsum(sizes)
+                    own[shared] = c * c * pattern.indptr[-1] + extra + ends - sizes
+                    extra += int(ends[-1]) if len(ends) else 0
+            begins.append(own)
+    values = np.zeros(c * c * int(pattern.indptr[-1]) + extra)
+    privates = iter(begins)
+    for number, (f, runs) in enumerate(zip(all_frames, parts)):
+        mine, slots = [next(privates) for _ in runs], pattern.slots[number]
+        tasks = [
+            partial(_add_run, domain, integrand, f, number, part, control, Rows(slots, own, length, c, values))
+            for part, own in zip(runs, mine)
+        ]
+        run(tasks)
+        for own in mine[1:]:
+            kernels.merge(values, begin, c * c * length, own, 0, space.n)
+    return finish(pattern, values, c)
+
+
+def _add_run(
+    domain: Domain, integrand: Integrand, f: Frame, block: int, part: tuple[int, int], control: Array, rows: Rows
+) -> None:
+    """Add the elements part[0]..part[1] of a block to a matrix."""
+    work = buffers(f, pairs=isinstance(integrand, Elasticity))
+    for lo in range(*part, f.size):
+        hi = min(lo + f.size, part[1])
+        at = site(f, block, lo, hi, control, work)
+        for a, b, D in terms(integrand, at, work):
+            add_matrices(f, lo, hi, D, a, b, rows)
+
+
+def _compiled_vector(domain: Domain, integrand: Load, points: int | None) -> Array:
+    """`vector` of a load over the volume; each thread adds to a vector of its own."""
+    control = control_points(domain)
+
+    def part(f: Frame, block: int, begin: int, end: int) -> Array:
+        result = np.zeros((domain.space.n, integrand.components))
+        work = buffers(f)
+        for lo in range(begin, end, f.size):
+            hi = min(lo + f.size, end)
+            distribute(f, lo, hi, source(integrand, site(f, block, lo, hi, control, work)), result)
+        return result
+
+    total = np.zeros((domain.space.n, integrand.components))
+    for block, f in enumerate(frames(domain.space, points)):
+        for result in run([partial(part, f, block, *bounds) for bounds in ranges(f.block.elements)]):
+            total += result
+    return total.reshape(-1)
