@@ -165,9 +165,9 @@ def _bench(options: argparse.Namespace) -> Answer:
 
 
 def _plot(options: argparse.Namespace) -> Answer:
-    from studies.pictures import picture
+    from studies.drawing import draw
 
-    return {"files": [str(picture(options.file, options.field, options.output, options.cut))]}
+    return {"files": [str(draw(options.file, options.field, options.output, options.cut))]}
 
 
 def _export(options: argparse.Namespace) -> Answer:

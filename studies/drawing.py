@@ -1,0 +1,43 @@
+"""Pictures of files: a saved domain, or a solution written for ParaView."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from iga.errors import InputError
+from iga.plot import plot_domain, plot_field
+from iga.reading import read_vtu
+from iga.store import load
+
+
+def draw(path: str | Path, field: str | None, out: str | Path, cut: str | None = None) -> Path:
+    """Draw a ``.npz`` domain or a ``.vtu`` solution.
+
+    Parameters
+    ----------
+    field : field or attribute to colour by; a solution shows its first field, a domain its named boundaries.
+    out : PNG file.
+    cut : axis to cut along ("x", "-z", ..) to see inside.
+
+    Raises
+    ------
+    InputError : no such file or field; the fields that exist are listed.
+    """
+    path, out = Path(path), Path(out)
+    if out.suffix.lower() != ".png":
+        raise InputError(f"{out}: pictures are PNG files")
+    if path.suffix.lower() == ".vtu":
+        domain, fields = read_vtu(path)
+    else:
+        domain = load(path)
+        fields = dict(domain.attributes)
+    if field is not None and field not in fields:
+        raise InputError(f"{path} has no field {field!r}; there are: {', '.join(fields) or 'none'}")
+    if field is None and path.suffix.lower() == ".vtu":
+        field = next(iter(fields), None)
+    if field is None:
+        plot_domain(domain, out, cut=cut)
+        return out
+    warp = fields.get("displacement") if field != "temperature" else None
+    plot_field(domain, fields[field], field, out, cut=cut, warp=warp)
+    return out
