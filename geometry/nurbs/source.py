@@ -1,0 +1,183 @@
+"""The geometry source "nurbs": files and built-in shapes to domains, refinement, and writing back.
+
+Input is a G+Smo ``.xml``, GeoPDEs ``.txt`` or MFEM NURBS ``.mesh`` file (told apart by content, not by name), or the name
+of a shape (`shapes.SHAPES`, e.g. ``thick_ring``). Parameters of every input:
+
+    elevate    raise the degree of all directions by this much (0)
+    degree     raise the degree of each direction to at least this (0)
+    refine     halve all knot intervals this many times, after elevation (0)
+    tolerance  points closer than this are one when patches are glued, relative to the model's diagonal (1e-6)
+
+and of a shape, its own (radii, angles, ...; see its docstring).
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from geometry.nurbs import geopdes, gismo, mfem
+from geometry.nurbs.domain import build_domain, from_arrays
+from geometry.nurbs.knots import MAX_DEGREE
+from geometry.nurbs.multipatch import Multipatch, Name, glue, refined
+from geometry.nurbs.patch import Patch, elevate
+from geometry.nurbs.shapes import SHAPES
+from iga.domain import Domain
+from iga.errors import FormatError, InputError
+
+name = "nurbs"
+
+COMMON: dict[str, float] = {"elevate": 0, "degree": 0, "refine": 0, "tolerance": 1e-6}
+MAX_LEVELS = 12
+
+
+def _reader(path: str | Path) -> Callable[[str | Path], tuple[list[Patch], list[Name]]] | None:
+    """Reader for a file, by its first bytes."""
+    try:
+        with Path(path).open("rb") as file:
+            head = file.read(4096).decode("utf-8", errors="replace")
+    except (OSError, ValueError):
+        return None
+    start = head.lstrip("\ufeff \t\r\n")
+    if start.startswith("MFEM NURBS"):
+        return mfem.read
+    if start.startswith("<") and ("<xml" in head or "<Geometry" in head):
+        return gismo.read
+    comments = "\n".join(line for line in head.splitlines() if line.startswith("#")).lower()
+    if "nurbs mesh" in comments or "nurbs geometry" in comments:
+        return geopdes.read
+    return None
+
+
+def reads(path: str | Path) -> bool:
+    """Whether this source reads a file, or knows a shape of this name."""
+    return (str(path) in SHAPES and not Path(path).exists()) or _reader(path) is not None
+
+
+def build(path: str | Path, **parameters: Any) -> Domain:
+    """Build a domain from a file or from the name of a shape.
+
+    Parameters
+    ----------
+    path : a file, or one of `shapes.SHAPES`.
+    parameters : see the module docstring.
+
+    Raises
+    ------
+    InputError : the file is not readable, its patches do not fit each other, or a parameter is unknown or out of range.
+    """
+    if str(path) in SHAPES and not Path(path).exists():
+        maker = SHAPES[str(path)]
+        own = {key: p.default for key, p in inspect.signature(maker).parameters.items()}
+        settings = check_parameters(parameters, {**COMMON, **own}, str(path))
+        multipatch = maker(**{key: settings[key] for key in own})
+        if "degree" not in own:
+            multipatch = _raise_degree(multipatch, int(settings["degree"]))
+        return _finish(multipatch, str(path), settings)
+    settings = check_parameters(parameters, COMMON, str(path))
+    reader = _reader(path)
+    if reader is None:
+        if not Path(path).exists():
+            raise InputError(f"{path}: there is no such file, nor a shape of this name ({', '.join(SHAPES)})")
+        raise FormatError(f"{path}: not a NURBS file (G+Smo XML, GeoPDEs text or MFEM NURBS mesh)")
+    patches, names = reader(path)
+    patches = [_lift(p, int(settings["degree"])) for p in patches]
+    return _finish(glue(patches, names, settings["tolerance"], Path(path).name), str(path), settings)
+
+
+def _finish(multipatch: Multipatch, source: str, settings: Mapping[str, Any]) -> Domain:
+    return build_domain(_refined(multipatch, settings["refine"], settings["elevate"], source), source, settings)
+
+
+def _refined(multipatch: Multipatch, levels: int, elevated: int, source: str) -> Multipatch:
+    """Refine after checking that the result is of a size that makes sense."""
+    if not (0 <= levels <= MAX_LEVELS and 0 <= elevated <= MAX_DEGREE):
+        raise InputError(f"{source}: refine {levels} (0..{MAX_LEVELS}) or elevate {elevated} (0..{MAX_DEGREE}) is out of range")
+    entries = 0
+    for p in multipatch.patches:
+        if max(p.degree) + elevated > MAX_DEGREE:
+            raise InputError(f"{source}: degree {max(p.degree)} + {elevated} is above {MAX_DEGREE}")
+        size = 1
+        for elements, q in zip(p.elements, p.degree):
+            size *= elements * 2**levels * (q + elevated + 1)
+        entries += size
+    if entries > 4e9:
+        raise InputError(f"{source}: refine={levels}, elevate={elevated} makes a table of {entries:.1e} entries; take less")
+    return refined(multipatch, levels, elevated)
+
+
+def _lift(patch: Patch, degree: int) -> Patch:
+    """Raise each direction to at least a degree."""
+    if degree > MAX_DEGREE:
+        raise InputError(f"degree {degree} is above {MAX_DEGREE}")
+    return elevate(patch, tuple(max(degree - p, 0) for p in patch.degree))
+
+
+def _raise_degree(multipatch: Multipatch, degree: int) -> Multipatch:
+    return replace(multipatch, patches=tuple(_lift(p, degree) for p in multipatch.patches))
+
+
+def check_parameters(given: Mapping[str, Any], known: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Settings with defaults filled in; texts are turned into the type of the default.
+
+    Raises
+    ------
+    InputError : a name is unknown, or a value is of the wrong kind.
+    """
+    unknown = sorted(set(given) - set(known))
+    if unknown:
+        raise InputError(f"{source}: unknown parameter {unknown[0]!r}; known are {', '.join(sorted(known))}")
+    settings = dict(known)
+    for key, value in given.items():
+        kind = type(known[key])
+        try:
+            settings[key] = kind(value)
+            if isinstance(value, float) and kind is int and value != int(value):
+                raise ValueError
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"{source}: parameter {key} should be {'a whole number' if kind is int else 'a number'}, "
+                             f"not {value!r}") from None
+    if not 0 < settings["tolerance"] < 0.1:
+        raise InputError(f"{source}: tolerance {settings['tolerance']:g} is not between 0 and 0.1")
+    if settings.get("degree", 0) < 0:
+        raise InputError(f"{source}: degree {settings['degree']} is negative")
+    return settings
+
+
+def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
+    """Elevate, then halve all knot intervals; the solid stays as it is to round-off.
+
+    Parameters
+    ----------
+    domain : built by this source.
+    levels, elevate : how often to halve, and how many degrees to add.
+
+    Raises
+    ------
+    InputError : the domain is of another source, or too large.
+    """
+    if domain.provenance.source != name:
+        raise InputError(f"the domain was built by source {domain.provenance.source!r}, not by {name!r}")
+    multipatch = from_arrays(domain.provenance.arrays, float(domain.report.get("largest_gap", 0.0)))
+    settings = dict(domain.provenance.parameters)
+    finer = _refined(multipatch, levels, elevate, domain.provenance.input)
+    settings["refine"] = int(settings.get("refine", 0)) + levels
+    settings["elevate"] = int(settings.get("elevate", 0)) + elevate
+    return build_domain(finer, domain.provenance.input, settings)
+
+
+def write_xml(domain: Domain, path: str | Path) -> None:
+    """Write the patches of a domain of this source as G+Smo XML.
+
+    Raises
+    ------
+    InputError : the domain has no NURBS patches, or the file cannot be written.
+    """
+    if domain.provenance.source != name:
+        raise InputError(f"only NURBS domains can be written as G+Smo XML; this one comes from {domain.provenance.source!r}")
+    multipatch = from_arrays(domain.provenance.arrays)
+    names = list(multipatch.names)
+    gismo.write(path, multipatch.patches, multipatch.interfaces, names)
