@@ -1,7 +1,7 @@
 """The list of geometry sources, and building through it.
 
-A source is anything with ``name``, ``reads(path)``, ``build(path, **parameters)`` and ``refine(domain, levels, elevate)``:
-the sub-packages of `geometry`, and what other distributions register under the entry point group
+A source is anything with ``name``, ``reads(path)``, ``build(path, **parameters)`` and ``refine(domain, levels,
+elevate)``: the sub-packages of `geometry`, and what other distributions register under the entry point group
 ``iga.geometry_sources``, whose entry points are loaded only when they are used.
 """
 
@@ -55,7 +55,7 @@ def sources() -> dict[str, Source]:
         try:
             loaded = entry.load()
         except Exception as error:  # whatever another package does on import
-            raise InputError(f"the geometry source {entry.name!r} of {entry.value} cannot be loaded: {error}") from error
+            raise InputError(f"geometry source {entry.name!r} of {entry.value} cannot be loaded: {error}") from error
         missing = [what for what in ("name", "reads", "build", "refine") if not hasattr(loaded, what)]
         if missing:
             raise InputError(f"the geometry source {entry.name!r} of {entry.value} has no {missing[0]!r}")

@@ -131,7 +131,8 @@ def _boundaries(multipatch: Multipatch, place: dict[int, tuple[int, int]]) -> di
     gathered: dict[str, dict[tuple[int, int], list[Index]]] = {}
     for name, p, f in rows:
         block, offset = place[p]
-        lattice = offset + np.arange(int(np.prod(multipatch.patches[p].elements))).reshape(multipatch.patches[p].elements)
+        size = multipatch.patches[p].elements
+        lattice = offset + np.arange(int(np.prod(size))).reshape(size)
         elements = np.take(lattice, -(f % 2), axis=f // 2).ravel()
         gathered.setdefault(name, {}).setdefault((block, f), []).append(elements)
     return {

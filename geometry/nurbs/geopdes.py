@@ -63,12 +63,14 @@ def read(path: str | Path) -> tuple[list[Patch], list[Name]]:
         counts.insert(1, counts[0])  # older versions do not say the dimension of space
     if len(counts) < 2:
         raise FormatError(f"{name}: the first line should give dimensions and numbers of patches and interfaces")
-    dimension, space, patches, interfaces, subdomains = (*counts, 1, 0, 0)[:5] if len(counts) < 3 else (*counts, 0, 0)[:5]
+    if len(counts) == 2:
+        counts.append(1)
+    dimension, space, patches, interfaces, subdomains = (*counts, 0, 0)[:5]
     if dimension != 3 or space != 3:
         kind = {1: "curve", 2: "surface"}.get(dimension, f"geometry of dimension {dimension}")
         raise InputError(f"{name}: a {kind}, not a volume: {dimension} parameters in {space}-dimensional space")
     if not 1 <= patches <= len(lines.lines) or interfaces < 0 or subdomains < 0:
-        raise FormatError(f"{name}: {patches} patches, {interfaces} interfaces, {subdomains} subdomains cannot be right")
+        raise FormatError(f"{name}: {patches} patches, {interfaces} interfaces, {subdomains} subdomains?")
     made = [_patch(lines, f"{name}, patch {i + 1}") for i in range(patches)]
     for i in range(interfaces):
         lines.words("the name of an interface")

@@ -1,16 +1,15 @@
 """G+Smo XML: tensor B-spline and NURBS volumes, single or as a MultiPatch, read and written.
 
-A ``Geometry`` of type TensorBSpline3 or TensorNurbs3 holds three ``KnotVector`` (with their degree), ``coefs`` (Cartesian
-control points, first direction fastest) and, if rational, ``weights``. A ``MultiPatch`` names patches by id, lists
-``interfaces`` (patch side patch side, direction map, orientation; sides 1..6) and ``boundary`` sides, in named groups or
-without names. Interfaces are found again from the geometry, so the list is not needed.
+A ``Geometry`` of type TensorBSpline3 or TensorNurbs3 holds three ``KnotVector`` (with their degree), ``coefs``
+(Cartesian control points, first direction fastest) and, if rational, ``weights``. A ``MultiPatch`` names patches by id,
+lists ``interfaces`` (patch side patch side, direction map, orientation; sides 1..6) and ``boundary`` sides, in named
+groups or without names. Interfaces are found again from the geometry, so the list is not needed.
 
 The parser refuses document types and entities, so nothing can expand or be fetched.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
@@ -23,6 +22,7 @@ from geometry.nurbs.multipatch import Name
 from geometry.nurbs.patch import Patch, make_patch
 from geometry.nurbs.tokens import integers, numbers, read_text
 from iga.errors import FormatError, InputError
+from iga.store import whole_file
 
 MAX_DEPTH = 32
 
@@ -37,7 +37,7 @@ def read(path: str | Path) -> tuple[list[Patch], list[Name]]:
     """
     name = Path(path).name
     root = _parse(read_text(path), name)
-    geometries = [e for e in root.iter("Geometry")]
+    geometries = list(root.iter("Geometry"))
     if not geometries:
         raise FormatError(f"{name}: there is no Geometry in this XML file")
     collection = next(iter(root.iter("MultiPatch")), None)
@@ -95,7 +95,7 @@ def _patch(geometry: Element, where: str) -> Patch:
         raise InputError(f"{where}: {kind} is a {'surface' if lower.endswith('2') else 'curve'}, not a volume")
     if lower not in ("tensorbspline3", "tensornurbs3"):
         raise InputError(f"{where}: geometry of type {kind[:40]!r}; only TensorBSpline3 and TensorNurbs3 are volumes")
-    vectors = [b for b in geometry.iter("KnotVector")]
+    vectors = list(geometry.iter("KnotVector"))
     bases = [b for b in geometry.iter("Basis") if b.find("KnotVector") is not None]
     coefs = geometry.find("coefs")
     if len(vectors) != 3 or len(bases) != 3 or coefs is None:
@@ -148,7 +148,7 @@ def _members(collection: Element, ids: list[str], name: str) -> list[int]:
     given = integers(element.text or "", f"{name}, patches of the MultiPatch")
     if element.get("type") == "id_range":
         if len(given) != 2 or not 0 <= given[1] - given[0] < len(ids):
-            raise FormatError(f"{name}: the MultiPatch's range of patches {given[:4]} does not fit {len(ids)} geometries")
+            raise FormatError(f"{name}: the range of patches {given[:4]} does not fit {len(ids)} geometries")
         given = list(range(given[0], given[1] + 1))
     place = {i: k for k, i in enumerate(ids)}
     missing = [i for i in given if str(i) not in place]
@@ -212,14 +212,8 @@ def write(
             lines.append("  <boundary>" + "\n".join(rest) + "\n  </boundary>")
         lines.append(" </MultiPatch>")
     lines.append("</xml>\n")
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with whole_file(path) as partial:
         partial.write_text("\n".join(lines), encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 def _quoted(text: str) -> str:

@@ -65,7 +65,8 @@ def check_knots(knots: Array, degree: int, n: int, where: str) -> None:
     if not 1 <= degree <= MAX_DEGREE:
         raise InputError(f"{where}: degree {degree} is not between 1 and {MAX_DEGREE}")
     if len(knots) != n + degree + 1:
-        raise InputError(f"{where}: {n} control points of degree {degree} need {n + degree + 1} knots, not {len(knots)}")
+        needed = n + degree + 1
+        raise InputError(f"{where}: {n} control points of degree {degree} need {needed} knots, not {len(knots)}")
     if n < degree + 1:
         raise InputError(f"{where}: degree {degree} needs at least {degree + 1} control points, not {n}")
     if not np.isfinite(knots).all():

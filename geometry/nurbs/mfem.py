@@ -36,7 +36,7 @@ QUAD_FACES = (4, 2, 1, 3, 0, 5)  # as 2 * direction + side
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """Patches of a file: elements (p, 8) vertex numbers, boundary rows (attribute, four vertices), edges (knots, v, v)."""
+    """Patches of a file: elements (p, 8) vertices, boundary rows (attribute, four vertices), edges (knots, v, v)."""
 
     elements: Index
     boundary: list[tuple[int, tuple[int, ...]]]
@@ -162,7 +162,7 @@ def _shared(cursor: Cursor, topology: Topology) -> list[Patch]:
     chosen = [_directions(topology, p, name) for p in range(len(topology.elements))]
     shapes = [tuple(vectors[k][1] for k, _ in three) for three in chosen]
     if sum(n1 * n2 * n3 for n1, n2, n3 in shapes) > 64 * max(cursor.left, 1):
-        raise FormatError(f"{name}: patches of {shapes[0]} control points do not fit a file with {cursor.left} entries left")
+        raise FormatError(f"{name}: patches of {shapes[0]} control points, but {cursor.left} entries are left")
     nets, n = _number(topology, shapes, [vectors[k][1] for k, *_ in topology.edges], name)
     cursor.expect("weights")
     weights = cursor.numbers(n, f"{n} weights")
@@ -174,7 +174,7 @@ def _shared(cursor: Cursor, topology: Topology) -> list[Patch]:
     cursor.expect("Ordering:")
     ordering = cursor.integer("Ordering")
     if not collection.startswith("NURBS") or components != 3 or ordering not in (0, 1):
-        raise FormatError(f"{name}: nodes of {collection[:20]} with VDim {components}, Ordering {ordering} are not read")
+        raise FormatError(f"{name}: nodes {collection[:20]} with VDim {components}, Ordering {ordering} cannot be read")
     values = cursor.numbers(3 * n, f"{n} nodes")
     points = values.reshape(n, 3) if ordering == 1 else values.reshape(3, n).T
     patches = []
@@ -197,10 +197,10 @@ def _directions(topology: Topology, p: int, name: str) -> list[tuple[int, bool]]
             ahead, back = table.get((v[a], v[b])), table.get((v[b], v[a]))
             k = ahead if ahead is not None else back
             if k is None:
-                raise FormatError(f"{name}: the edge between vertices {v[a]} and {v[b]} of patch {p} has no knot vector")
+                raise FormatError(f"{name}: patch {p}: the edge between vertices {v[a]} and {v[b]} is not listed")
             found.add((k, ahead is None))
         if len(found) != 1:
-            raise FormatError(f"{name}: the four edges of patch {p} along direction {'xyz'[d]} differ in knot vector or sense")
+            raise FormatError(f"{name}: patch {p}: its four edges along {'xyz'[d]} differ in knot vector or sense")
         result.append(found.pop())
     return result
 
@@ -254,7 +254,7 @@ def _corner_order() -> Index:
 
 
 def _face_view(net: Index, corners: Index) -> Index:
-    """Inside of a face of a net, first axis from corner 0 to corner 1, second from corner 0 to corner 3 (corners (4, 3))."""
+    """Inside of a face of a net: axes from corner 0 to corner 1 and from corner 0 to corner 3 of ``corners`` (4, 3)."""
     fixed = int(np.flatnonzero((corners == corners[0]).all(axis=0))[0])
     view = net[tuple(-int(corners[0][k]) if k == fixed else slice(1, -1) for k in range(3))]
     rest = [k for k in range(3) if k != fixed]

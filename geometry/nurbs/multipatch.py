@@ -110,6 +110,7 @@ def glue(patches: Iterable[Patch], names: Iterable[Name] = (), tolerance: float 
     points = np.concatenate([p.control.reshape(-1, 3) for p in made])
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     interfaces = find_interfaces(made, tolerance * size, where)
+    _refuse_same_side(interfaces, where)
     made = conform(made, interfaces)
     made = match_weights(made, interfaces, where)
     inner = {(int(a), int(f)) for row in interfaces for a, f in (row[:2], row[2:4])}
@@ -217,6 +218,22 @@ def _refuse_overlaps(faces: list[Patch], free: list[int], tolerance: float, wher
                     f"{where}: {face_name(*divmod(x, 6))} and {face_name(*divmod(y, 6))} lie on each other but do not "
                     f"match corner to corner; split the patches so that whole faces meet"
                 )
+
+
+def _refuse_same_side(interfaces: Index, where: str) -> None:
+    """Refuse right-handed patches that lie on the same side of their common face, hence overlap."""
+    for a, fa, b, fb, swapped, *flips in interfaces.tolist():
+        da, db = ([d for d in range(3) if d != f // 2] for f in (fa, fb))
+        if swapped:
+            db.reverse()
+        # Directions of b that continue those of a; out of a is into b.
+        M = np.zeros((3, 3))
+        M[fb // 2, fa // 2] = 1.0 if fa % 2 != fb % 2 else -1.0
+        for t in (0, 1):
+            M[db[t], da[t]] = 1.0 - 2.0 * flips[t]
+        if np.linalg.det(M) < 0:
+            raise InputError(f"{where}: {face_name(a, fa)} and {face_name(b, fb)} coincide, but both patches lie on the "
+                             f"same side of it; one of them is there twice or folded")
 
 
 def conform(patches: list[Patch], interfaces: Index) -> list[Patch]:

@@ -2,7 +2,7 @@ r"""Solids built from code, exact and free of degenerate faces, with natural bou
 
 Every builder takes its measures and returns a `Multipatch`; `SHAPES` lists them by name for `source.build`, which adds
 elevation and refinement. Angles are in degrees. Planes of a box or of symmetry are named ``x0`` (lower) and ``x1``
-(upper) and so on, curved faces by what they are (``inner``, ``outer``, ``hole``), ends of a sweep ``start`` and ``end``.
+(upper) and so on, curved faces by what they are (``inner``, ``outer``, ``hole``), ends of a sweep ``start``, ``end``.
 
 The shell of the sphere is six rational patches of degree 4 (J. Cobb, Tiling the sphere with rational Bezier patches,
 University of Utah, 1988): the stereographic image (2 u w, 2 v w, w^2 - u^2 - v^2) / (w^2 + u^2 + v^2) of the
@@ -103,7 +103,8 @@ def thick_ring(inner: float = 1.0, outer: float = 2.0, height: float = 1.0, angl
     """
     _positive(inner=inner, **{"outer - inner": outer - inner}, height=height)
     patch = revolve(rectangle(inner, outer, 0, height), angle)
-    return glue([patch], list(zip(("inner", "outer", "start", "end", "z0", "z1"), [0] * 6, range(6))), where="thick_ring")
+    names = [(name, 0, f) for f, name in enumerate(("inner", "outer", "start", "end", "z0", "z1"))]
+    return glue([patch], names, where="thick_ring")
 
 
 def hollow_sphere_octant(inner: float = 1.0, outer: float = 2.0) -> Multipatch:
@@ -187,7 +188,8 @@ def torus(major: float = 2.0, minor: float = 0.5, angle: float = 90.0, core: flo
     for profile in disc(minor, core):
         moved = profile.control + np.array([major, 0.0, 0.0])
         patches.append(revolve(Patch(profile.knots, moved, profile.weights), angle))
-    names = [("outer", p, 1) for p in range(1, 5)] + [(n, p, f) for p in range(5) for n, f in (("start", 2), ("end", 3))]
+    names = [("outer", p, 1) for p in range(1, 5)]
+    names += [(end, p, f) for p in range(5) for end, f in (("start", 2), ("end", 3))]
     return glue(patches, names, where="torus")
 
 

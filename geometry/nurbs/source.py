@@ -1,7 +1,7 @@
 """The geometry source "nurbs": files and built-in shapes to domains, refinement, and writing back.
 
-Input is a G+Smo ``.xml``, GeoPDEs ``.txt`` or MFEM NURBS ``.mesh`` file (told apart by content, not by name), or the name
-of a shape (`shapes.SHAPES`, e.g. ``thick_ring``). Parameters of every input:
+Input is a G+Smo ``.xml``, GeoPDEs ``.txt`` or MFEM NURBS ``.mesh`` file (told apart by content, not by name), or the
+name of a shape (`shapes.SHAPES`, e.g. ``thick_ring``). Parameters of every input:
 
     elevate    raise the degree of all directions by this much (0)
     degree     raise the degree of each direction to at least this (0)
@@ -95,7 +95,7 @@ def _finish(multipatch: Multipatch, source: str, settings: Mapping[str, Any]) ->
 def _refined(multipatch: Multipatch, levels: int, elevated: int, source: str) -> Multipatch:
     """Refine after checking that the result is of a size that makes sense."""
     if not (0 <= levels <= MAX_LEVELS and 0 <= elevated <= MAX_DEGREE):
-        raise InputError(f"{source}: refine {levels} (0..{MAX_LEVELS}) or elevate {elevated} (0..{MAX_DEGREE}) is out of range")
+        raise InputError(f"{source}: refine={levels}, elevate={elevated} is outside 0..{MAX_LEVELS}, 0..{MAX_DEGREE}")
     entries = 0
     for p in multipatch.patches:
         if max(p.degree) + elevated > MAX_DEGREE:
@@ -105,7 +105,7 @@ def _refined(multipatch: Multipatch, levels: int, elevated: int, source: str) ->
             size *= elements * 2**levels * (q + elevated + 1)
         entries += size
     if entries > 4e9:
-        raise InputError(f"{source}: refine={levels}, elevate={elevated} makes a table of {entries:.1e} entries; take less")
+        raise InputError(f"{source}: refine={levels}, elevate={elevated} needs {entries:.0e} table entries; take less")
     return refined(multipatch, levels, elevated)
 
 
@@ -177,7 +177,7 @@ def write_xml(domain: Domain, path: str | Path) -> None:
     InputError : the domain has no NURBS patches, or the file cannot be written.
     """
     if domain.provenance.source != name:
-        raise InputError(f"only NURBS domains can be written as G+Smo XML; this one comes from {domain.provenance.source!r}")
+        raise InputError(f"only NURBS domains can be written as G+Smo XML, not those of {domain.provenance.source!r}")
     multipatch = from_arrays(domain.provenance.arrays)
     names = list(multipatch.names)
     gismo.write(path, multipatch.patches, multipatch.interfaces, names)

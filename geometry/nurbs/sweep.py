@@ -1,9 +1,9 @@
 r"""Volumes from planar patches: extrusion along z and revolution about the z axis; exact circular arcs.
 
-A circular arc of half-angle h <= 45 degrees is the rational quadratic with weights 1, cos h, 1 whose middle control point
-lies at distance r / cos h (Piegl and Tiller, The NURBS Book, section 7.3). Revolution multiplies every homogeneous
-control point (w x, w y, w) of a profile by the arc's, so the product is exact. Profiles are patches with two directions
-in the plane z = 0, right-handed in (x, y).
+A circular arc of half-angle h <= 45 degrees is the rational quadratic with weights 1, cos h, 1 whose middle control
+point lies at distance r / cos h (Piegl and Tiller, The NURBS Book, section 7.3). Revolution multiplies every
+homogeneous control point (w x, w y, w) of a profile by the arc's, so the product is exact. Profiles are patches with
+two directions in the plane z = 0, right-handed in (x, y).
 
 Axis letters: d direction, n control point.
 """
@@ -91,7 +91,7 @@ def ruled(first: tuple[Array, Array, Array], second: tuple[Array, Array, Array])
 
 
 def disc(radius: float, core: float) -> list[Patch]:
-    """Disc of five patches: a square whose corners lie at ``core`` of the radius, and four outer ones, counter-clockwise."""
+    """Disc of five patches: a square whose corners lie at ``core`` of the radius, and four around it."""
     s = radius * core / np.sqrt(2.0)
     patches = [quadrilateral(np.array([[-s, -s], [-s, s], [s, -s], [s, s]]))]
     knots, quarter = arc(90)
