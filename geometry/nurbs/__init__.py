@@ -2,6 +2,6 @@
 
 from geometry.nurbs.multipatch import Multipatch, glue
 from geometry.nurbs.patch import Patch
-from geometry.nurbs.source import build, name, reads, refine, write_xml
+from geometry.nurbs.source import build, name, reads, refine, write_gismo
 
-__all__ = ["Multipatch", "Patch", "build", "glue", "name", "reads", "refine", "write_xml"]
+__all__ = ["Multipatch", "Patch", "build", "glue", "name", "reads", "refine", "write_gismo"]

@@ -22,7 +22,7 @@ from geometry.nurbs.multipatch import Name
 from geometry.nurbs.patch import Patch, make_patch
 from geometry.nurbs.tokens import integers, numbers, read_text
 from iga.errors import FormatError, InputError
-from iga.store import whole_file
+from iga.files import write_text
 
 MAX_DEPTH = 32
 
@@ -212,8 +212,7 @@ def write(
             lines.append("  <boundary>" + "\n".join(rest) + "\n  </boundary>")
         lines.append(" </MultiPatch>")
     lines.append("</xml>\n")
-    with whole_file(path) as partial:
-        partial.write_text("\n".join(lines), encoding="utf-8")
+    write_text(path, "\n".join(lines))
 
 
 def _quoted(text: str) -> str:

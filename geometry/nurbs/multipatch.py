@@ -232,8 +232,10 @@ def _refuse_same_side(interfaces: Index, where: str) -> None:
         for t in (0, 1):
             M[db[t], da[t]] = 1.0 - 2.0 * flips[t]
         if np.linalg.det(M) < 0:
-            raise InputError(f"{where}: {face_name(a, fa)} and {face_name(b, fb)} coincide, but both patches lie on the "
-                             f"same side of it; one of them is there twice or folded")
+            raise InputError(
+                f"{where}: {face_name(a, fa)} and {face_name(b, fb)} coincide, but both patches lie on the same side; "
+                f"one of them is there twice or folded"
+            )
 
 
 def conform(patches: list[Patch], interfaces: Index) -> list[Patch]:

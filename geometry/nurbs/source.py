@@ -169,8 +169,8 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
     return build_domain(finer, domain.provenance.input, settings)
 
 
-def write_xml(domain: Domain, path: str | Path) -> None:
-    """Write the patches of a domain of this source as G+Smo XML.
+def write_gismo(path: str | Path, domain: Domain) -> Path:
+    """Write the patches of a domain of this source as G+Smo XML, and return the path.
 
     Raises
     ------
@@ -179,5 +179,5 @@ def write_xml(domain: Domain, path: str | Path) -> None:
     if domain.provenance.source != name:
         raise InputError(f"only NURBS domains can be written as G+Smo XML, not those of {domain.provenance.source!r}")
     multipatch = from_arrays(domain.provenance.arrays)
-    names = list(multipatch.names)
-    gismo.write(path, multipatch.patches, multipatch.interfaces, names)
+    gismo.write(path, multipatch.patches, multipatch.interfaces, multipatch.names)
+    return Path(path)

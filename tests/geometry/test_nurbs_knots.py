@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
@@ -81,7 +83,7 @@ def test_extraction_reproduces_the_functions(spline: tuple) -> None:
     ends = np.unique(t)
     s = np.linspace(0, 1, 9)
     B = bernstein(LINE, p).tabulate(s[:, None], 0)[0]
-    for e, (a, b) in enumerate(zip(ends[:-1], ends[1:])):
+    for e, (a, b) in enumerate(pairwise(ends)):
         rows = evaluation(t, p, np.minimum(a + (b - a) * s[:-1], np.nextafter(b, a)))
         assert (rows.first == first[e]).all()
         assert np.abs(rows.values - (B @ C[e].T)[:-1]).max() < 1e-13

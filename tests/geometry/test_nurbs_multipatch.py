@@ -161,7 +161,10 @@ def test_lens_is_not_glued_shut() -> None:
     [
         ([brick((0, 0, 0), (1, 1, 1))] * 2, "patch 0 face x0"),
         ([brick((0, 0, 0), (1, 1, 1))] * 3, "at most two patches"),
-        ([brick((0, 0, 0), (1, 1, 1)), brick((1, 0, 0), (2, 0.5, 1)), brick((1, 0.5, 0), (2, 1, 1))], "patch 1 face x0"),
+        (
+            [brick((0, 0, 0), (1, 1, 1)), brick((1, 0, 0), (2, 0.5, 1)), brick((1, 0.5, 0), (2, 1, 1))],
+            "patch 1 face x0",
+        ),
         ([brick((0, 0, 0), (0, 1, 1))], "no volume"),
     ],
     ids=["twice", "three times", "hanging", "flat"],
