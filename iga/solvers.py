@@ -1,0 +1,498 @@
+r"""Solution of K u = f with fixed unknowns and constraints: sparse direct or preconditioned conjugate gradients.
+
+With the constraint u = T z of a space the system is T^T K T z = T^T f; fixed entries of z move to the right-hand side.
+What remains is symmetric positive definite if the body is held. Conjugate gradients stop when the residual r and its
+preconditioned length have both fallen by the tolerance,
+
+    |r| <= tol |f|    and    (r . M r)^(1/2) <= tol (f . M f)^(1/2),
+
+the second being the energy norm of the error up to the quality of the preconditioner M, or when r has reached what
+rounding allows: |r| <= 8 eps (| |K| |u| | + |f|), the componentwise backward error in the 2-norm. Residuals that decide
+are computed anew from f - K u. Anything else raises `ConvergenceError`.
+
+Unknown ``i*c + a`` is component a of function i. Axis letters: n unknown, k fixed unknown.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, eye_array, issparse, kron
+from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
+
+from iga.domain import Domain
+from iga.errors import ConvergenceError, InputError
+from iga.factorization import Factor, checked, estimate, factorize, product
+from iga.kernels import sparse
+from iga.preconditioners import Preconditioner, jacobi, linear_prolongation, multilevel, rigid_motions
+
+__all__ = ["Factor", "SolveLog", "factorize", "solve"]
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Progress = Callable[[int, float], None]
+
+DIRECT_OPERATIONS = 4e11
+"""Operations of a factorization up to which ``solver="auto"`` prefers it (10 to 20 s on two cores)."""
+DIRECT_MEMORY = 3e9
+"""Bytes of a factorization up to which ``solver="auto"`` takes it."""
+DIRECT_ENTRIES = 60_000_000
+"""Matrix entries up to which ``solver="auto"`` asks for the cost of a factorization at all."""
+SMALL = 6000
+"""Unknowns up to which a factorization needs no question."""
+
+MOTIONS = ("translation along x", "translation along y", "translation along z", "rotation about x", "rotation about y",
+           "rotation about z")
+
+
+@dataclass(frozen=True)
+class SolveLog:
+    """How a system was solved.
+
+    Attributes
+    ----------
+    solver : "direct" or "cg".
+    preconditioner : its name, or the factorization's.
+    unknowns : unknowns that were solved for.
+    iterations : of conjugate gradients, or refinement solves of the direct solver.
+    residual : |f - K u| / |f| over these unknowns, computed from the result; f includes what fixed unknowns contribute.
+    setup_s, solve_s : seconds for factorization or preconditioner, and for the solution.
+    """
+
+    solver: str
+    preconditioner: str
+    unknowns: int
+    iterations: int
+    residual: float
+    setup_s: float
+    solve_s: float
+
+
+def solve(
+    K: Any,
+    f: Array,
+    fixed: tuple[Index, Array] | None = None,
+    *,
+    domain: Domain | None = None,
+    constraint: csr_array | None = None,
+    solver: str = "auto",
+    tolerance: float = 1e-12,
+    preconditioner: Callable[[Array], Array] | None = None,
+    start: Array | None = None,
+    max_iterations: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[Array, SolveLog]:
+    """Solve K u = f.
+
+    Parameters
+    ----------
+    K : (N, N) sparse, symmetric positive definite once unknowns are fixed (the direct solver also takes others); or any
+        operator with ``shape`` and ``@``, which needs ``solver="cg"``.
+    f : (N,)
+    fixed : numbers (k,) and values (k,) of fixed unknowns. With a constraint they are numbers of free coefficients.
+    domain : where the unknowns live. It gives the iterative solver its coarse space and rigid motions, and errors their
+        names; its constraint is used if none is given.
+    constraint : (n, n_free) matrix T, applied to each component.
+    solver : "direct", "cg", or "auto": direct up to about 4e11 operations and 3 GB, predicted from the pattern.
+    tolerance : relative residual to reach.
+    preconditioner : correction for a residual over the unknowns that are not fixed, in ascending order.
+    start : (N,) first guess for conjugate gradients (free coefficients with a constraint).
+    max_iterations : of conjugate gradients, 2000 by default.
+    progress : called with the iteration and the relative residual.
+
+    Returns
+    -------
+    u : (N,), fixed values included.
+    log : what it took.
+
+    Raises
+    ------
+    InputError : sizes do not match, something is not finite, or the body is not held (missing motions are named).
+    ConvergenceError : the tolerance is not reached; there is no result.
+    """
+    if solver not in ("auto", "direct", "cg"):
+        raise InputError(f"there is no solver {solver!r}; there are: auto, direct, cg")
+    f = np.asarray(f, dtype=float)
+    if len(K.shape) != 2 or K.shape[0] != K.shape[1] or f.shape != (K.shape[0],):
+        raise InputError(f"a matrix {K.shape} and a right-hand side {f.shape} do not fit")
+    _require_finite(f, "right-hand side")
+    if constraint is None and domain is not None:
+        constraint = domain.space.constraint
+    T = None
+    if constraint is not None:
+        components = K.shape[0] // constraint.shape[0]
+        T = csr_array(kron(constraint, eye_array(components), format="csr"))
+        if T.shape[0] != K.shape[0]:
+            raise InputError(f"a constraint {constraint.shape} does not fit {K.shape[0]} unknowns")
+        f = T.T @ f
+        K = csr_array(T.T @ csr_array(K @ T)) if issparse(K) else _Constrained(K, T)
+    held, values = _fixed(fixed, K.shape[0])
+    if not issparse(K):
+        if solver == "direct":
+            raise InputError("the direct solver needs an assembled matrix")
+        z, log = _solve_operator(K, f, held, values, tolerance, preconditioner, start, max_iterations, progress)
+    else:
+        task = _Task(checked(K), f, held, values, _layout(domain, constraint, K.shape[0]), tolerance, preconditioner,
+                     start, max_iterations, progress)
+        z, log = _solve_matrix(task, solver)
+    return (z if T is None else T @ z), log
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """What is known of the unknowns: components c, points (n, 3) or None, coarse prolongation (n, v) or None."""
+
+    components: int = 1
+    points: Array | None = None
+    domain: Domain | None = None
+    rows: Index | None = None
+
+    def modes(self, n: int) -> Array:
+        """Functions without energy, (n*c, m)."""
+        if self.components == 3 and self.points is not None:
+            return rigid_motions(self.points)
+        return np.kron(np.ones((n // self.components, 1)), np.eye(self.components))
+
+    def prolongation(self) -> csr_array | None:
+        """From degree one to the free coefficients, for one component."""
+        if self.domain is None:
+            return None
+        W = linear_prolongation(self.domain.space)
+        return W if W is None or self.rows is None else csr_array(W[self.rows])
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """An assembled system."""
+
+    K: csr_array
+    f: Array
+    held: NDArray[np.bool_]
+    values: Array
+    layout: _Layout
+    tolerance: float
+    preconditioner: Callable[[Array], Array] | None
+    start: Array | None
+    max_iterations: int | None
+    progress: Progress | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Constrained:
+    """T^T K T without its entries."""
+
+    K: Any
+    T: csr_array
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.T.shape[1], self.T.shape[1]
+
+    def __matmul__(self, z: Array) -> Array:
+        return self.T.T @ (self.K @ (self.T @ z))
+
+
+def _layout(domain: Domain | None, constraint: csr_array | None, n: int) -> _Layout:
+    if domain is None:
+        return _Layout()
+    if constraint is None:
+        components = n // domain.space.n
+        if components * domain.space.n != n:
+            raise InputError(f"{n} unknowns do not fit the {domain.space.n} functions of the domain")
+        return _Layout(components, domain.points, domain)
+    # A free coefficient is usually the coefficient of one function: the row of T with a single one.
+    T = csr_array(constraint)
+    T.eliminate_zeros()
+    single = np.flatnonzero(np.diff(T.indptr) == 1)
+    single = single[np.abs(T.data[T.indptr[single]] - 1.0) < 1e-12]
+    rows = np.full(T.shape[1], -1, dtype=np.int64)
+    rows[T.indices[T.indptr[single]]] = single
+    components = n // T.shape[1]
+    if (rows < 0).any():
+        return _Layout(components)
+    return _Layout(components, domain.points[rows], domain, rows)
+
+
+def _fixed(fixed: tuple[Index, Array] | None, n: int) -> tuple[NDArray[np.bool_], Array]:
+    held, values = np.zeros(n, dtype=bool), np.zeros(n)
+    if fixed is None:
+        return held, values
+    unknowns, data = np.asarray(fixed[0], dtype=np.int64), np.asarray(fixed[1], dtype=float)
+    if unknowns.ndim != 1 or np.broadcast_shapes(unknowns.shape, data.shape) != unknowns.shape:
+        raise InputError(f"{unknowns.shape} fixed unknowns do not fit {data.shape} values")
+    if len(unknowns) and not (0 <= unknowns.min() and unknowns.max() < n):
+        raise InputError(f"fixed unknown {unknowns.max()} lies outside 0..{n - 1}")
+    _require_finite(data, "fixed values")
+    held[unknowns], values[unknowns] = True, data
+    return held, values
+
+
+def _require_finite(values: Array, name: str) -> None:
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise InputError(f"entry {bad[0]} of the {name} is not finite")
+
+
+def _solve_matrix(task: _Task, solver: str) -> tuple[Array, SolveLog]:
+    K, held, values = task.K, task.held, task.values
+    began = time.perf_counter()
+    f = task.f - product(K, values)
+    free = np.flatnonzero(~held)
+    if not len(free):
+        return values, SolveLog("direct", "none", 0, 0, 0.0, 0.0, 0.0)
+    _require_held(K, held, task.layout)
+    direct = solver == "direct"
+    inner = None
+    if solver != "cg":
+        inner = _submatrix(K, free)
+        direct = direct or (task.preconditioner is None and _prefer_direct(inner))
+    if direct:
+        assert inner is not None
+        factor = factorize(inner)
+        if factor.negative > 0:
+            pass  # a saddle point or a shifted matrix: fine for the direct solver
+        ready = time.perf_counter()
+        u = values.copy()
+        u[free] = factor(f[free])
+        residual = _relative(np.linalg.norm(f[free] - product(inner, u[free])), np.linalg.norm(f[free]))
+        log = SolveLog("direct", factor.name, len(free), 1, residual, ready - began, time.perf_counter() - ready)
+        return u, log
+    return _solve_cg(task, f, free, inner, began)
+
+
+def _solve_cg(task: _Task, f: Array, free: Index, inner: csr_array | None, began: float) -> tuple[Array, SolveLog]:
+    K, held, layout = task.K, task.held, task.layout
+    c = layout.components
+    M: Callable[[Array], Array]
+    if task.preconditioner is not None or c != 3:
+        keep, block = free, 1
+        if inner is None:
+            inner = _submatrix(K, free)
+    else:
+        # Keep whole nodes, so that their 3x3 blocks survive; their fixed unknowns become rows of the identity.
+        nodes = np.flatnonzero((~held).reshape(-1, 3).any(axis=1))
+        keep, block = (nodes[:, None] * 3 + np.arange(3)).ravel(), 3
+        inner = _submatrix(K, keep)
+        _clear(inner, held[keep])
+    order = np.arange(len(keep))
+    if task.preconditioner is None:
+        order = _ordering(inner, block)
+        keep = keep[order]
+        inner = _submatrix(inner, order)
+        modes = layout.modes(K.shape[0])[keep]
+        modes[held[keep]] = 0.0
+        W = layout.prolongation()
+        if W is not None:
+            W = csr_array(kron(W, eye_array(c), format="csr")) if c > 1 else W
+            # Vertex functions that reach a fixed unknown do not vanish there.
+            touched = np.zeros(W.shape[1], dtype=bool)
+            touched[W[np.flatnonzero(held)].indices] = True
+            W = csr_array(W[keep][:, np.flatnonzero(~touched)])
+            W = csr_array(W[:, np.flatnonzero(np.diff(W.tocsc().indptr) > 0)])
+        M = multilevel(inner, W, modes, block)
+        name = M.name
+    else:
+        M, name = task.preconditioner, "given"
+    g = np.where(held[keep], 0.0, f[keep])
+    u = np.zeros(len(keep)) if task.start is None else np.where(held[keep], 0.0, np.asarray(task.start)[keep])
+    ready = time.perf_counter()
+    u, iterations, residual = conjugate_gradients(
+        lambda x: product(inner, x), g, M, u, task.tolerance, task.max_iterations, task.progress, _magnitude(inner)
+    )
+    solution = task.values.copy()
+    solution[keep] = np.where(held[keep], solution[keep], u)
+    log = SolveLog("cg", name, len(free), iterations, residual, ready - began, time.perf_counter() - ready)
+    return solution, log
+
+
+def _solve_operator(
+    K: Any, f: Array, held: NDArray[np.bool_], values: Array, tolerance: float,
+    preconditioner: Callable[[Array], Array] | None, start: Array | None, max_iterations: int | None,
+    progress: Progress | None,
+) -> tuple[Array, SolveLog]:
+    """Conjugate gradients with an operator that is only known by its products."""
+    began = time.perf_counter()
+    free = np.flatnonzero(~held)
+    g = (f - K @ values)[free] if held.any() else f
+    full = np.zeros(K.shape[0])
+
+    def apply(x: Array) -> Array:
+        full[free] = x
+        return np.asarray(K @ full)[free]
+
+    name, M = "given", preconditioner
+    if M is None:
+        name, M = "none", lambda r: r.copy()
+        if hasattr(K, "diagonal"):
+            inverse = 1.0 / K.diagonal()[free]
+            name, M = "Jacobi", lambda r: inverse * r
+    u = np.zeros(len(free)) if start is None else np.asarray(start, dtype=float)[free]
+    ready = time.perf_counter()
+    u, iterations, residual = conjugate_gradients(apply, g, M, u, tolerance, max_iterations, progress)
+    solution = values.copy()
+    solution[free] = u
+    log = SolveLog("cg", name, len(free), iterations, residual, ready - began, time.perf_counter() - ready)
+    return solution, log
+
+
+def conjugate_gradients(
+    apply: Callable[[Array], Array],
+    f: Array,
+    precondition: Callable[[Array], Array],
+    u: Array,
+    tolerance: float = 1e-12,
+    max_iterations: int | None = None,
+    progress: Progress | None = None,
+    magnitude: Callable[[Array], Array] | None = None,
+) -> tuple[Array, int, float]:
+    """Preconditioned conjugate gradients, flexible in the preconditioner (Polak-Ribiere).
+
+    Parameters
+    ----------
+    apply : product with the matrix.
+    f, u : right-hand side and first guess, (n,).
+    magnitude : product |K| |u| from u; without it the attainable residual is estimated as if it were |f| + |K u|.
+
+    Returns
+    -------
+    The solution, the number of iterations, and the relative residual computed from it.
+
+    Raises
+    ------
+    ConvergenceError : the tolerance is not reached, or the matrix or the preconditioner is not positive definite.
+    """
+    most = 2000 if max_iterations is None else max_iterations
+    goal = float(np.linalg.norm(f))
+    if goal == 0.0:
+        return np.zeros_like(f), 0, 0.0
+    u = u.copy()
+    r = f - apply(u) if u.any() else f.copy()
+    z = precondition(r)
+    rz = float(r @ z)
+    energy = rz if not u.any() else max(rz, float(f @ precondition(f)))
+    p, best, count = z.copy(), np.inf, 0
+    while True:
+        while count < most:
+            q = apply(p)
+            curvature = float(p @ q)
+            if not (curvature > 0 and rz > 0):
+                if rz == 0.0 and not r.any():
+                    break
+                what = "matrix" if rz > 0 else "preconditioner"
+                raise ConvergenceError(f"the {what} is not positive definite (iteration {count}): use the direct solver")
+            old = r.copy()
+            length = np.sqrt(sparse.advance(rz / curvature, p, q, u, r))
+            count += 1
+            if progress is not None:
+                progress(count, length / goal)
+            z = precondition(r)
+            new = float(r @ z)
+            if length <= tolerance * goal and new <= tolerance**2 * energy:
+                break
+            ratio = (new - float(old @ z)) / rz
+            sparse.direct_search(ratio, z, p)
+            rz = new
+            if length <= 1e-3 * tolerance * goal:  # far below: rounding keeps the energy norm from following
+                break
+        r = f - apply(u)
+        length = float(np.linalg.norm(r))
+        if length <= tolerance * goal:
+            return u, count, length / goal
+        scale = goal + float(np.linalg.norm(magnitude(u) if magnitude is not None else apply(u)))
+        if length <= 8 * np.finfo(float).eps * scale:
+            return u, count, length / goal
+        if count >= most or not length < 0.5 * best:
+            raise ConvergenceError(
+                f"conjugate gradients stopped after {count} iterations at relative residual {length / goal:.1e}, "
+                f"not {tolerance:.1e}"
+            )
+        best = length
+        z = precondition(r)
+        rz = float(r @ z)
+        p = z.copy()
+
+
+def _relative(part: float, whole: float) -> float:
+    return float(part / whole) if whole else float(part)
+
+
+def _magnitude(K: csr_array) -> Callable[[Array], Array]:
+    return lambda u: abs(K) @ np.abs(u)
+
+
+def _prefer_direct(K: csr_array) -> bool:
+    if K.shape[0] <= SMALL:
+        return True
+    if K.nnz > DIRECT_ENTRIES:
+        return False
+    cost = estimate(K)
+    return cost is not None and cost.operations <= DIRECT_OPERATIONS and cost.memory <= DIRECT_MEMORY
+
+
+def _submatrix(K: csr_array, keep: Index) -> csr_array:
+    if len(keep) == K.shape[0] and (keep == np.arange(len(keep))).all():
+        return K
+    made = csr_array(K[keep][:, keep])
+    made.sort_indices()
+    return made
+
+
+def _clear(K: csr_array, held: NDArray[np.bool_]) -> None:
+    """Turn rows and columns of held unknowns into those of the identity, in place."""
+    if not held.any():
+        return
+    rows = np.repeat(np.arange(K.shape[0]), np.diff(K.indptr))
+    drop = held[rows] | held[K.indices]
+    K.data[drop] = (rows[drop] == K.indices[drop]).astype(float)
+
+
+def _ordering(K: csr_array, block: int) -> Index:
+    """Order of unknowns that keeps neighbours together (reverse Cuthill-McKee on nodes)."""
+    if block == 1:
+        return np.asarray(reverse_cuthill_mckee(K, symmetric_mode=True), dtype=np.int64)
+    nodes = csr_array(K[::block][:, ::block])
+    order = np.asarray(reverse_cuthill_mckee(nodes, symmetric_mode=True), dtype=np.int64)
+    return (order[:, None] * block + np.arange(block)).ravel()
+
+
+def _require_held(K: csr_array, held: NDArray[np.bool_], layout: _Layout) -> None:
+    """Refuse a system in which a connected part of the body can move without energy.
+
+    On each part the energies Z^T K Z of the motions Z that the fixed unknowns leave free must be positive: the null
+    space of the 2m x m matrix (K Z, Z at fixed unknowns) is looked for.
+    """
+    c = layout.components
+    n = K.shape[0]
+    modes = layout.modes(n)
+    m = modes.shape[1]
+    graph = K if c == 1 else csr_array(K[::c][:, ::c])
+    count, label = connected_components(graph, directed=False) if graph.shape[0] * c == n else (1, np.zeros(n // c))
+    part = np.repeat(label, c).astype(np.int64)
+    stiffness = np.bincount(part, K.diagonal(), count)
+    gram = np.zeros((count, m, m))
+    size = np.zeros((count, m))
+    d = np.abs(K.diagonal())
+    forces = np.stack([product(K, np.ascontiguousarray(modes[:, j])) for j in range(m)], axis=1)
+    for i in range(m):
+        size[:, i] = np.bincount(part, modes[:, i] ** 2 * d, count)
+        for j in range(m):
+            pinned = np.where(held, modes[:, i] * modes[:, j] * d, 0.0)
+            gram[:, i, j] = np.bincount(part, modes[:, i] * forces[:, j] + pinned, count)
+    size = np.sqrt(np.maximum(size, 1e-300))
+    gram = gram / (size[:, :, None] * size[:, None, :])
+    energies, vectors = np.linalg.eigh(0.5 * (gram + gram.swapaxes(1, 2)))
+    loose = np.argwhere((energies < 1e-12) & (stiffness > 0)[:, None])
+    if not len(loose):
+        return
+    body = int(loose[0, 0])
+    which = "the body" if count == 1 else f"part {body} of {count} (with function {int(np.argmax(label == body))})"
+    if m == 1 or c == 1:
+        raise InputError(f"{which} is not held: its level is free, so fix a value or add a convection condition")
+    span = vectors[body][:, energies[body] < 1e-12]
+    names = [MOTIONS[i] for i in range(m) if (span[i] ** 2).sum() > 1e-3]
+    raise InputError(f"{which} is not held and free to move by: {', '.join(names)}; fix displacements or add springs")
