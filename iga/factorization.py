@@ -27,8 +27,8 @@ from iga.kernels.sparse import multiply_scalar
 
 try:
     import rslab
-except ImportError:  # pragma: no cover - wheels exist for common platforms only
-    rslab = None
+except ImportError:  # wheels exist for the common platforms only
+    rslab = None  # type: ignore[assignment]
 
 Array = NDArray[np.float64]
 

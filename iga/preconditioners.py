@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 Index = NDArray[np.int64]
 
+TINY = 300
+"""Unknowns up to which a matrix is always factored."""
 COARSE = 3e10
 """Operations up to which a coarse matrix is factored (a second or so)."""
 
@@ -88,7 +90,7 @@ def multilevel(K: csr_array, W: csr_array | None, modes: Array, block: int = 1) 
     InputError : a diagonal entry of K is not positive.
     """
     levels: list[Level] = []
-    name = "two-level"
+    name = "smoothed aggregation"
     A, width = K, block
     if W is not None and W.shape[1]:
         levels.append(_level(A, W, width))
@@ -99,16 +101,15 @@ def multilevel(K: csr_array, W: csr_array | None, modes: Array, block: int = 1) 
     elif W is not None:
         levels.append(_level(A, None, width))
         return Preconditioner("Gauss-Seidel", lambda r: _cycle(levels, 0, r, None))
-    cost = estimate(A) if A.shape[0] < 400_000 else None
-    if cost is None or cost.operations > COARSE:
+    if A.shape[0] > TINY and (not levels or not _cheap(A)):
         hierarchy = _aggregate(A, modes, block)
         for fine, P in hierarchy[:-1]:
             levels.append(_level(fine, P, width if fine.shape[0] % width == 0 and fine is A else 1))
         A = hierarchy[-1][0]
-        name = f"{name}, aggregation" if W is not None else "smoothed aggregation"
+        name = f"{name}, aggregation" if W is not None else name
     coarse = factorize(A, symmetric=True)
     if not levels:
-        return Preconditioner("direct", coarse)
+        return Preconditioner("factorization", coarse)
     return Preconditioner(name, lambda r: _cycle(levels, 0, r, coarse._solve))
 
 
@@ -155,9 +156,10 @@ def linear_prolongation(space: Space) -> csr_array | None:
         dofs, first = np.unique(block.dofs[e, n], return_index=True)
         e, n = e[first], n[first]
         taken[dofs] = True
-        rows.append(np.repeat(dofs, own.shape[1]))
+        rows.append(np.repeat(dofs, len(own[0])))
         columns.append(own[e].ravel())
-        values.append((matrices[pattern[e], n] / sums[pattern[e], n, None]).ravel())
+        shares = matrices[pattern[e], n] / sums[pattern[e], n][:, None]
+        values.append(shares.ravel())
     entries = np.concatenate(values)
     keep = np.abs(entries) > 1e-12
     made = coo_array((entries[keep], (np.concatenate(rows)[keep], np.concatenate(columns)[keep])), (space.n, count))
@@ -204,13 +206,21 @@ def _restrict_modes(W: csr_array, modes: Array) -> Array:
     return np.asarray(sharp.T @ modes) / np.maximum(counts, 1.0)[:, None]
 
 
+def _cheap(K: csr_array) -> bool:
+    """Whether factoring a coarse matrix takes about a second at most."""
+    if K.shape[0] > 400_000:
+        return False
+    cost = estimate(K)
+    return cost is not None and cost.operations <= COARSE
+
+
 def _aggregate(K: csr_array, modes: Array, block: int) -> list[tuple[csr_array, csr_array | None]]:
     """Matrices and prolongations of smoothed aggregation, finest first."""
     A = csr_matrix(K)
     if block > 1 and A.shape[0] % block == 0:
         A = A.tobsr((block, block))
     hierarchy = pyamg.smoothed_aggregation_solver(
-        A, B=modes, max_coarse=8000, improve_candidates=None, presmoother=None, postsmoother=None, keep=False
+        A, B=modes, max_coarse=min(8000, A.shape[0] // 4), improve_candidates=None, presmoother=None, postsmoother=None,
     )
     made: list[tuple[csr_array, csr_array | None]] = []
     for number, level in enumerate(hierarchy.levels):

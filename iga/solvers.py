@@ -29,7 +29,7 @@ from iga.domain import Domain
 from iga.errors import ConvergenceError, InputError
 from iga.factorization import Factor, checked, estimate, factorize, product
 from iga.kernels import sparse
-from iga.preconditioners import Preconditioner, jacobi, linear_prolongation, multilevel, rigid_motions
+from iga.preconditioners import linear_prolongation, multilevel, rigid_motions
 
 __all__ = ["Factor", "SolveLog", "factorize", "solve"]
 
@@ -81,7 +81,7 @@ def solve(
     domain: Domain | None = None,
     constraint: csr_array | None = None,
     solver: str = "auto",
-    tolerance: float = 1e-12,
+    tolerance: float = 1e-13,
     preconditioner: Callable[[Array], Array] | None = None,
     start: Array | None = None,
     max_iterations: int | None = None,
@@ -156,7 +156,7 @@ class _Layout:
         """Functions without energy, (n*c, m)."""
         if self.components == 3 and self.points is not None:
             return rigid_motions(self.points)
-        return np.kron(np.ones((n // self.components, 1)), np.eye(self.components))
+        return np.tile(np.eye(self.components), (n // self.components, 1))
 
     def prolongation(self) -> csr_array | None:
         """From degree one to the free coefficients, for one component."""
@@ -194,7 +194,7 @@ class _Constrained:
         return self.T.shape[1], self.T.shape[1]
 
     def __matmul__(self, z: Array) -> Array:
-        return self.T.T @ (self.K @ (self.T @ z))
+        return np.asarray(self.T.T @ (self.K @ (self.T @ z)))
 
 
 def _layout(domain: Domain | None, constraint: csr_array | None, n: int) -> _Layout:
@@ -225,7 +225,7 @@ def _fixed(fixed: tuple[Index, Array] | None, n: int) -> tuple[NDArray[np.bool_]
     unknowns, data = np.asarray(fixed[0], dtype=np.int64), np.asarray(fixed[1], dtype=float)
     if unknowns.ndim != 1 or np.broadcast_shapes(unknowns.shape, data.shape) != unknowns.shape:
         raise InputError(f"{unknowns.shape} fixed unknowns do not fit {data.shape} values")
-    if len(unknowns) and not (0 <= unknowns.min() and unknowns.max() < n):
+    if len(unknowns) and (unknowns.min() < 0 or unknowns.max() >= n):
         raise InputError(f"fixed unknown {unknowns.max()} lies outside 0..{n - 1}")
     _require_finite(data, "fixed values")
     held[unknowns], values[unknowns] = True, data
@@ -254,12 +254,10 @@ def _solve_matrix(task: _Task, solver: str) -> tuple[Array, SolveLog]:
     if direct:
         assert inner is not None
         factor = factorize(inner)
-        if factor.negative > 0:
-            pass  # a saddle point or a shifted matrix: fine for the direct solver
         ready = time.perf_counter()
         u = values.copy()
         u[free] = factor(f[free])
-        residual = _relative(np.linalg.norm(f[free] - product(inner, u[free])), np.linalg.norm(f[free]))
+        residual = _relative(f[free] - product(inner, u[free]), f[free])
         log = SolveLog("direct", factor.name, len(free), 1, residual, ready - began, time.perf_counter() - ready)
         return u, log
     return _solve_cg(task, f, free, inner, began)
@@ -345,7 +343,7 @@ def conjugate_gradients(
     f: Array,
     precondition: Callable[[Array], Array],
     u: Array,
-    tolerance: float = 1e-12,
+    tolerance: float = 1e-13,
     max_iterations: int | None = None,
     progress: Progress | None = None,
     magnitude: Callable[[Array], Array] | None = None,
@@ -384,7 +382,7 @@ def conjugate_gradients(
                 if rz == 0.0 and not r.any():
                     break
                 what = "matrix" if rz > 0 else "preconditioner"
-                raise ConvergenceError(f"the {what} is not positive definite (iteration {count}): use the direct solver")
+                raise ConvergenceError(f"the {what} is not positive definite, as iteration {count} shows")
             old = r.copy()
             length = np.sqrt(sparse.advance(rz / curvature, p, q, u, r))
             count += 1
@@ -417,8 +415,10 @@ def conjugate_gradients(
         p = z.copy()
 
 
-def _relative(part: float, whole: float) -> float:
-    return float(part / whole) if whole else float(part)
+def _relative(part: Array, whole: Array) -> float:
+    """Length of a part over the length of the whole, or the former if the latter is zero."""
+    length = float(np.linalg.norm(whole))
+    return float(np.linalg.norm(part)) / (length or 1.0)
 
 
 def _magnitude(K: csr_array) -> Callable[[Array], Array]:

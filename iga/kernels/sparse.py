@@ -25,7 +25,7 @@ Array = NDArray[Any]
 
 @njit(parallel=True, cache=True, nogil=True)
 def multiply_scalar(pointers: Array, columns: Array, values: Array, x: Array, y: Array) -> None:
-    """y = A x for scalar entries."""
+    """Write y = A x for scalar entries."""
     for i in prange(len(pointers) - 1):
         s = values.dtype.type(0)
         for k in range(pointers[i], pointers[i + 1]):
@@ -35,7 +35,7 @@ def multiply_scalar(pointers: Array, columns: Array, values: Array, x: Array, y:
 
 @njit(parallel=True, cache=True, nogil=True)
 def multiply_block(pointers: Array, columns: Array, values: Array, x: Array, y: Array) -> None:
-    """y = A x for 3x3 entries."""
+    """Write y = A x for 3x3 entries."""
     for i in prange(len(pointers) - 1):
         s = t = u = values.dtype.type(0)
         for k in range(pointers[i], pointers[i + 1]):
@@ -53,7 +53,7 @@ def multiply_block(pointers: Array, columns: Array, values: Array, x: Array, y: 
 def forward_scalar(
     pointers: Array, columns: Array, values: Array, inverse: Array, starts: Array, r: Array, y: Array
 ) -> None:
-    """y = (D + L)^-1 r for scalar entries."""
+    """Write y = (D + L)^-1 r for scalar entries."""
     for part in prange(len(starts) - 1):
         first = starts[part]
         for i in range(first, starts[part + 1]):
@@ -71,7 +71,7 @@ def forward_scalar(
 def backward_scalar(
     pointers: Array, columns: Array, values: Array, inverse: Array, starts: Array, r: Array, y: Array
 ) -> None:
-    """y = (D + U)^-1 r for scalar entries."""
+    """Write y = (D + U)^-1 r for scalar entries."""
     for part in prange(len(starts) - 1):
         last = starts[part + 1]
         for i in range(last - 1, starts[part] - 1, -1):
@@ -96,7 +96,7 @@ def _solve_row(i: int, inverse: Array, s: float, t: float, u: float, y: Array) -
 def forward_block(
     pointers: Array, columns: Array, values: Array, inverse: Array, starts: Array, r: Array, y: Array
 ) -> None:
-    """y = (D + L)^-1 r for 3x3 entries."""
+    """Write y = (D + L)^-1 r for 3x3 entries."""
     for part in prange(len(starts) - 1):
         first = starts[part]
         for i in range(first, starts[part + 1]):
@@ -117,7 +117,7 @@ def forward_block(
 def backward_block(
     pointers: Array, columns: Array, values: Array, inverse: Array, starts: Array, r: Array, y: Array
 ) -> None:
-    """y = (D + U)^-1 r for 3x3 entries."""
+    """Write y = (D + U)^-1 r for 3x3 entries."""
     for part in prange(len(starts) - 1):
         last = starts[part + 1]
         for i in range(last - 1, starts[part] - 1, -1):
@@ -150,7 +150,7 @@ def outside_sums(pointers: Array, columns: Array, values: Array, starts: Array, 
 
 @njit(parallel=True, cache=True, nogil=True)
 def advance(step: float, p: Array, q: Array, x: Array, r: Array) -> float:
-    """x += step p, r -= step q; the squared length of the new r."""
+    """Update x += step p and r -= step q; return the squared length of the new r."""
     total = 0.0
     for i in prange(len(x)):
         x[i] += step * p[i]
@@ -162,7 +162,7 @@ def advance(step: float, p: Array, q: Array, x: Array, r: Array) -> float:
 
 @njit(parallel=True, cache=True, nogil=True)
 def direct_search(ratio: float, z: Array, p: Array) -> None:
-    """p = z + ratio p."""
+    """Write p = z + ratio p."""
     for i in prange(len(p)):
         p[i] = z[i] + ratio * p[i]
 

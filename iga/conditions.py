@@ -1,0 +1,355 @@
+r"""Dirichlet conditions: strongly by L2 projection onto the boundary functions, or weakly by Nitsche's method.
+
+Strong: over the facets with data g, and over the functions that do not vanish there, min |sum_i u_i R_i - g| in L2; one
+joint projection for all boundaries, so a function at an edge where boundaries meet gets one value. Fields of the space
+are reproduced exactly.
+
+Weak (Nitsche 1971, doi:10.1007/BF02995904), with the flux s(u) = n . k grad u or the traction s(u) = n . sigma(u):
+
+    a(u, v) - int s(u) v - int u s(v) + int gamma u v  =  f(v) - int g s(v) + int gamma g v
+
+which stays positive definite if gamma exceeds, on each element E, the largest lambda with
+int_F s(u)^2 <= lambda a_E(u, u) for all u; gamma is twice a bound of it, times the number of the element's facets with
+the condition. The normal variant keeps only n . u and n . s: symmetry planes and sliding on curved boundaries.
+
+Axis letters: e element or facet, q point, n function, c component, t constrained direction (c of them, or the normal).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+
+from iga.assembly import matrix, unknowns, vector
+from iga.bernstein import Bernstein, face_functions
+from iga.block import Block, Kronecker, Patterns, dense_extraction
+from iga.chunk import Chunk, facet_chunks, rule_for
+from iga.domain import Domain, Facets, facets_of
+from iga.errors import InputError
+from iga.factorization import factorize
+from iga.field import Coefficient, Field, evaluate
+from iga.integrands import Diffusion, Elasticity, Load, Mass, strain_operator
+from iga.preconditioners import rigid_motions
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Value = Any
+"""A number, a vector (c,), a function of x (..., 3), a `Field`, or a tuple with one of these or None per component."""
+
+
+def dirichlet(
+    domain: Domain, data: Mapping[str, Value], components: int = 1, points: int | None = None
+) -> tuple[Index, Array]:
+    """Coefficients fixed by boundary values.
+
+    Parameters
+    ----------
+    data : for boundaries, by name or pattern, what the solution equals there: a number, a function of x (..., 3) with
+        values (...) or (..., c), a vector (c,), a `Field`, or a tuple with an entry per component, None for a free one.
+        Where boundaries overlap, the later entry holds.
+    components : number c of components of the solution.
+    points : Gauss points per direction, by default degree + 1.
+
+    Returns
+    -------
+    unknowns : (k,) ascending numbers i*c + a; of free coefficients i if the space has a constraint.
+    values : (k,)
+
+    Raises
+    ------
+    InputError : a name matches no boundary or an empty one, or a value does not fit the components.
+    """
+    pieces: list[list[tuple[tuple[Facets, ...], Coefficient]]] = [[] for _ in range(components)]
+    claimed: list[dict[tuple[int, int], NDArray[np.bool_]]] = [{} for _ in range(components)]
+    for name, value in reversed(list(data.items())):
+        facets = facets_of(domain, name)
+        for a, own in enumerate(_by_component(name, value, components)):
+            if own is None:
+                continue
+            rest = _unclaimed(domain, facets, claimed[a])
+            if rest:
+                pieces[a].append((rest, own))
+    factors: dict[bytes, tuple[csr_array, Index, Callable[[Array], Array], Index]] = {}
+    found: list[tuple[Index, Array]] = []
+    for a in range(components):
+        if not pieces[a]:
+            continue
+        facets = tuple(f for rest, _ in pieces[a] for f in rest)
+        key = b"".join(np.array([f.block, f.face, *f.elements]).tobytes() for f in sorted(facets, key=_place))
+        if key not in factors:
+            factors[key] = _trace_space(domain, facets, points)
+        T, free, solve, massless = factors[key]
+        load = np.zeros(domain.space.n)
+        for rest, own in pieces[a]:
+            load += vector(domain, Load(own), points, rest)
+        values = solve(T.T @ load)
+        if len(massless):
+            values[massless] = _at_points(domain, T, massless, pieces[a])
+        found.append((free * components + a, values))
+    if not found:
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+    numbers, fixed = np.concatenate([n for n, _ in found]), np.concatenate([v for _, v in found])
+    order = np.argsort(numbers)
+    return numbers[order], fixed[order]
+
+
+def trace_functions(domain: Domain, facets: tuple[Facets, ...]) -> Index:
+    """Functions that do not vanish on given facets, ascending."""
+    touched = np.zeros(domain.space.n, dtype=bool)
+    for f in facets:
+        block = domain.space.blocks[f.block]
+        local = _local_traces(block, f.face)
+        elements = f.elements
+        if isinstance(local, tuple):
+            shown, pattern = local
+            dofs = block.dofs[elements]
+            touched[dofs[shown[pattern[elements]]]] = True
+        else:
+            touched[block.dofs[elements][:, local]] = True
+    return np.flatnonzero(touched)
+
+
+def nitsche(
+    domain: Domain,
+    data: Mapping[str, Value],
+    physics: Diffusion | Elasticity,
+    normal: bool = False,
+    points: int | None = None,
+) -> tuple[csr_array, Array]:
+    """Matrix and vector that impose boundary values weakly: add them to K and f.
+
+    Parameters
+    ----------
+    data : boundary names or patterns with values, as for `dirichlet` but with all components given.
+    physics : the integrand of the volume: its coefficient gives the flux or traction and the penalty.
+    normal : fix the normal displacement only (elasticity); values are then numbers or scalar functions of x.
+    points : Gauss points per direction, by default degree + 1.
+
+    Returns
+    -------
+    (N*c, N*c) and (N*c,)
+
+    Raises
+    ------
+    InputError : a name matches no boundary, or a normal condition is asked of a scalar problem.
+    """
+    c = physics.components
+    if normal and c != 3:
+        raise InputError("a normal condition needs a vector problem")
+    size = domain.space.n * c
+    load = np.zeros(size)
+    rows, columns, values = [], [], []
+    everything = facets_of(domain, list(data)) if data else ()
+    times = [np.zeros(block.elements, dtype=np.int64) for block in domain.space.blocks]
+    for f in everything:
+        times[f.block][f.elements] += 1
+    for name, value in data.items():
+        for chunk in facet_chunks(domain, facets_of(domain, name), points):
+            S, V = _flux(chunk, physics), _trace(chunk, c)
+            if normal:
+                S, V = (np.einsum("eqt,eqtm->eqm", chunk.normal, A)[:, :, None, :] for A in (S, V))
+            g = _values(chunk, name, value, V.shape[2])
+            gamma = 2.0 * times[chunk.block][chunk.elements] * _trace_constant(chunk, physics, S, points)
+            e, q, t, m = S.shape
+            scale = chunk.dx[:, :, None]
+            flat_S, flat_V = S.reshape(e, q * t, m), V.reshape(e, q * t, m)
+            weighted = (V * scale[..., None]).reshape(e, q * t, m).swapaxes(1, 2)
+            cross = weighted @ flat_S
+            local = gamma[:, None, None] * (weighted @ flat_V) - cross - cross.swapaxes(1, 2)
+            right = (g * scale).reshape(e, q * t, 1)
+            force = gamma[:, None] * (flat_V.swapaxes(1, 2) @ right)[..., 0] - (flat_S.swapaxes(1, 2) @ right)[..., 0]
+            index = unknowns(chunk.dofs, c)
+            load += np.bincount(index.ravel(), force.ravel(), size)
+            rows.append(np.broadcast_to(index[:, :, None], local.shape).ravel())
+            columns.append(np.broadcast_to(index[:, None, :], local.shape).ravel())
+            values.append(local.ravel())
+    if not rows:
+        return csr_array((size, size)), load
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return csr_array(coo_array(entries, shape=(size, size)).tocsr()), load
+
+
+def _by_component(name: str, value: Value, components: int) -> list[Coefficient | None]:
+    """Scalar coefficient of each component, None where it is free."""
+    if isinstance(value, tuple | list):
+        if len(value) != components:
+            raise InputError(f"boundary {name!r}: {len(value)} values for {components} components")
+        return list(value)
+    if isinstance(value, Field):
+        coefficients = value.coefficients
+        if coefficients.ndim == 1:
+            return [value] * components
+        if coefficients.shape[1] != components:
+            raise InputError(f"boundary {name!r}: a field with {coefficients.shape[1]} values, {components} needed")
+        return [Field(value.space, np.ascontiguousarray(coefficients[:, a])) for a in range(components)]
+    if callable(value):
+        return [_component(name, value, a, components) for a in range(components)]
+    constant = np.asarray(value, dtype=float)
+    if constant.shape not in ((), (components,)):
+        raise InputError(f"boundary {name!r}: a value of shape {constant.shape} for {components} components")
+    return [float(v) for v in np.broadcast_to(constant, (components,))]
+
+
+def _component(name: str, value: Callable[[Array], Array], a: int, components: int) -> Callable[[Array], Array]:
+    def one(x: Array) -> Array:
+        result = np.asarray(value(x), dtype=float)
+        if result.shape == (*x.shape[:-1], components):
+            return result[..., a]
+        if components > 1 and result.shape == (components,):
+            return np.broadcast_to(result[a], x.shape[:-1])
+        if result.shape in ((), x.shape[:-1]):
+            return np.broadcast_to(result, x.shape[:-1])
+        raise InputError(f"boundary {name!r}: the function returns {result.shape} for points {x.shape}")
+
+    return one
+
+
+def _values(chunk: Chunk, name: str, value: Value, directions: int) -> Array:
+    """Data (e, q, t) of a Nitsche condition."""
+    parts = _by_component(name, value, directions)
+    if any(part is None for part in parts):
+        raise InputError(f"boundary {name!r}: a weak condition needs a value for each component")
+    return np.stack([np.broadcast_to(evaluate(p, chunk), chunk.dx.shape) for p in parts if p is not None], axis=-1)
+
+
+def _place(f: Facets) -> tuple[int, int]:
+    return f.block, f.face
+
+
+def _unclaimed(
+    domain: Domain, facets: tuple[Facets, ...], claimed: dict[tuple[int, int], NDArray[np.bool_]]
+) -> tuple[Facets, ...]:
+    """Facets that are not claimed yet; they are then."""
+    rest = []
+    for f in facets:
+        mask = claimed.setdefault(_place(f), np.zeros(domain.space.blocks[f.block].elements, dtype=bool))
+        own = f.elements[~mask[f.elements]]
+        mask[own] = True
+        if len(own):
+            rest.append(Facets(f.block, f.face, own))
+    return tuple(rest)
+
+
+def _local_traces(block: Block, face: int) -> Index | tuple[NDArray[np.bool_], Index]:
+    """Local functions that live on a face: numbers (m,), or a mask (k, n) per distinct extraction and which (e,)."""
+    basis = block.basis
+    assert isinstance(basis, Bernstein)
+    on_face = face_functions(basis, face)[1]
+    extraction = block.extraction
+    if extraction is None:
+        return on_face
+    if isinstance(extraction, Kronecker):
+        _, first, pattern = np.unique(extraction.pattern, axis=0, return_index=True, return_inverse=True)
+        C = dense_extraction(block, first)
+    else:
+        assert isinstance(extraction, Patterns)
+        C, pattern = extraction.C, extraction.pattern
+    assert C is not None
+    return np.abs(C[:, :, on_face]).max(axis=2) > 1e-12, np.asarray(pattern).ravel()
+
+
+def _trace_space(
+    domain: Domain, facets: tuple[Facets, ...], points: int | None
+) -> tuple[csr_array, Index, Callable[[Array], Array], Index]:
+    """Projection onto the traces on facets.
+
+    Returns
+    -------
+    T (n, k) from the k free coefficients with a trace to all coefficients, their numbers (k,), the solver of the mass
+    matrix, and the numbers among k whose trace has no area (facets collapsed to points or lines).
+    """
+    n = domain.space.n
+    traced = trace_functions(domain, facets)
+    if domain.space.constraint is None:
+        free = traced
+        T = csr_array((np.ones(len(free)), (free, np.arange(len(free)))), shape=(n, len(free)))
+    else:
+        constraint = csr_array(domain.space.constraint)
+        rows = constraint[traced]
+        free = np.unique(rows.indices[np.abs(rows.data) > 1e-14]).astype(np.int64)
+        T = csr_array(constraint[:, free])
+    M = csr_array(T.T @ csr_array(matrix(domain, Mass(), points, facets) @ T))
+    d = M.diagonal()
+    some = d > 1e-12 * d.max(initial=0.0)
+    kept = np.flatnonzero(some)
+    factor = factorize(M[kept][:, kept], symmetric=True)
+
+    def solve(load: Array) -> Array:
+        values = np.zeros(len(free))
+        values[kept] = factor(load[kept])
+        return values
+
+    return T, free, solve, np.flatnonzero(~some)
+
+
+def _at_points(
+    domain: Domain, T: csr_array, massless: Index, pieces: list[tuple[tuple[Facets, ...], Coefficient]]
+) -> Array:
+    """Data at the control points of functions whose trace has no area, from the piece that holds them."""
+    where = np.asarray(abs(T[:, massless]).argmax(axis=0)).ravel()
+    values = np.zeros(len(massless))
+    for facets, own in reversed(pieces):
+        mine = np.isin(where, trace_functions(domain, facets))
+        if isinstance(own, Field):
+            values[mine] = own.coefficients[where[mine]]
+        elif callable(own):
+            values[mine] = np.broadcast_to(own(domain.points[where[mine]][None]), (1, int(mine.sum())))[0]
+        else:
+            values[mine] = own
+    return values
+
+
+def _trace(chunk: Chunk, c: int) -> Array:
+    """Operators V with V u the value on the facet, (e, q, c, n*c)."""
+    e, q, n = len(chunk.elements), len(chunk.points), chunk.n
+    N = np.broadcast_to(chunk.N, (e, q, n))
+    return (N[:, :, None, :, None] * np.eye(c)[None, None, :, None, :]).reshape(e, q, c, n * c)
+
+
+def _flux(chunk: Chunk, physics: Diffusion | Elasticity) -> Array:
+    """Operators S with S u the outward flux or the traction, (e, q, c, n*c)."""
+    n = chunk.normal
+    if isinstance(physics, Diffusion):
+        k = evaluate(physics.conductivity, chunk)
+        tensor = k.ndim >= 2 and k.shape[-2:] == (3, 3) and k.ndim in (2, 4)
+        direction = np.einsum("eqi,...ij->eqj", n, k) if k.ndim == 2 else (
+            np.einsum("eqi,eqij->eqj", n, k) if tensor else n * k[..., None])
+        return (chunk.G @ direction[..., None])[..., 0][:, :, None, :]
+    D = evaluate(physics.stiffness, chunk)
+    zero = np.zeros(n.shape[:2])
+    x, y, z = n[..., 0], n[..., 1], n[..., 2]
+    # Traction n . sigma from the Voigt stress xx, yy, zz, yz, xz, xy.
+    normals = np.stack([np.stack([x, zero, zero, zero, z, y], -1), np.stack([zero, y, zero, z, zero, x], -1),
+                        np.stack([zero, zero, z, y, x, zero], -1)], axis=-2)
+    return np.asarray(normals @ D @ strain_operator(chunk.G))
+
+
+def _trace_constant(chunk: Chunk, physics: Diffusion | Elasticity, S: Array, points: int | None) -> Array:
+    """Bound (e,) of the largest lambda with int_F (S u)^2 <= lambda a_E(u, u).
+
+    Both forms vanish on the motions without energy, which are made orthonormal and added to a_E to make it definite.
+    With A = L L^T and C = L^-1 B L^-T, lambda <= |C^4|_F^(1/4), at most 1.8 times too large for 100 functions on F.
+    """
+    block = chunk.domain.space.blocks[chunk.block]
+    rule = rule_for(block.basis, points)
+    inside = Chunk(chunk.domain, chunk.block, chunk.elements, rule.points, rule.weights, rule)
+    A = physics(inside)
+    e, q, t, m = S.shape
+    flat = S.reshape(e, q * t, m)
+    B = (flat * np.repeat(chunk.dx, t, axis=1)[..., None]).swapaxes(1, 2) @ flat
+    if isinstance(physics, Diffusion):
+        modes = np.ones((1, m, 1)) / np.sqrt(m)
+    else:
+        points3 = chunk.domain.points[block.dofs[chunk.elements]]
+        modes = np.linalg.qr(np.stack([rigid_motions(p) for p in points3]))[0]
+    size = np.trace(A, axis1=1, axis2=2) / m
+    A = A + size[:, None, None] * (modes @ modes.swapaxes(1, 2))
+    L = np.linalg.cholesky(A)
+    half = np.linalg.solve(L, B)
+    C = np.linalg.solve(L, half.swapaxes(1, 2))
+    squared = C @ C
+    return np.asarray((np.linalg.norm(squared @ squared, axis=(1, 2))) ** 0.25)
