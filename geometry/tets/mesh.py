@@ -34,6 +34,9 @@ FACES: Index = np.array([face.vertices for face in TETRAHEDRON.faces], dtype=np.
 #: A tetrahedron with a smaller determinant than this times its longest edge cubed has no volume.
 _FLAT = 1e-13
 
+#: Larger coordinates are refused with those that are not finite: their volumes would overflow.
+LARGEST = 1e90
+
 
 @dataclass(frozen=True, eq=False)
 class TetMesh:
@@ -128,9 +131,9 @@ def swap_columns(degree: int) -> Index:
 def _check_simple(vertices: Index, coefficients: Array) -> None:
     if coefficients.ndim != 3 or coefficients.shape[0] != len(vertices) or coefficients.shape[2] != 3:
         raise InputError(f"{len(vertices)} tetrahedra do not fit coefficients of shape {coefficients.shape}")
-    bad = np.flatnonzero(~np.isfinite(coefficients).all(axis=(1, 2)))
+    bad = np.flatnonzero(~(np.abs(coefficients) <= LARGEST).all(axis=(1, 2)))
     if len(bad):
-        raise InputError(f"tetrahedron {bad[0]} has a coordinate that is not a finite number")
+        raise InputError(f"tetrahedron {bad[0]} has a coordinate that is not a number up to {LARGEST:g}")
     ordered = np.sort(vertices, axis=1)
     twice = ordered[:, 1:] == ordered[:, :-1]
     bad = np.flatnonzero(twice.any(axis=1))

@@ -24,7 +24,7 @@ from meshio._helpers import extension_to_filetypes
 from numpy.typing import NDArray
 
 from geometry.tets.conversion import degree_of
-from geometry.tets.mesh import TetMesh, checked_mesh
+from geometry.tets.mesh import LARGEST, TetMesh, checked_mesh
 from geometry.tets.order import ORDERS, node_columns, node_exponents
 from iga.bernstein import bernstein, elevation, greville, lagrange_to_bernstein
 from iga.cells import TETRAHEDRON
@@ -40,12 +40,13 @@ _PLURALS = {
 }
 #: Median distance of nodes from the straight lattice, in longest edges, beyond which an order does not fit.
 _MISFIT = 0.3
-_UNREADABLE = {".stl", ".svg", ".wkt"}
+#: Formats that hold surfaces or drawings only.
+SURFACES = (".obj", ".off", ".ply", ".stl", ".svg", ".wkt")
 
 
 def extensions() -> tuple[str, ...]:
-    """File name endings that can be tried."""
-    return tuple(sorted(set(extension_to_filetypes) - _UNREADABLE))
+    """File name endings that meshio knows."""
+    return tuple(sorted(extension_to_filetypes))
 
 
 def read_tets(path: str | Path, tags: bool = True) -> TetMesh:
@@ -169,11 +170,10 @@ def _bernstein(points: Array, blocks: list[Index], documented: str) -> tuple[Ind
     top = max(degrees)
     parts, orders = [], []
     for data, degree in zip(blocks, degrees):
-        bad = np.flatnonzero(~np.isfinite(points[data]).all(axis=(1, 2)))
+        bad = np.argwhere(~(np.abs(points[data]) <= LARGEST))
         if len(bad):
-            nodes = data[bad[0]]
-            node = nodes[~np.isfinite(points[nodes]).all(axis=1)][0]
-            raise InputError(f"node {node} of tetrahedron {bad[0]} has a coordinate that is not a finite number")
+            e, k = bad[0, :2]
+            raise InputError(f"node {data[e, k]} of tetrahedron {e} has a coordinate that is not a number up to {LARGEST:g}")
         order = "vtk" if degree <= 2 else documented
         if degree > 1:
             order = _confirm_order(points, data, degree, order)

@@ -5,7 +5,8 @@ r"""The geometry source "tets": meshes of linear and curved tetrahedra as Bezier
     convert = "hex1"   one degenerate hexahedron for each tetrahedron (Theorem 1)
 
 A degenerate hexahedron carries the functions of its tetrahedron: with P = M T the tetrahedral function i is the
-combination sum_b M[b, i] B_b of hexahedral Bernstein functions, so the extraction C = M^T makes the space *equal* to the tetrahedral one, glued exactly as that is. (All (n+1)^3 Bernstein functions would not do: they have no common value
+combination sum_b M[b, i] B_b of hexahedral Bernstein functions, so the extraction C = M^T makes the space *equal* to
+the tetrahedral one, glued exactly as that is. (All (n+1)^3 Bernstein functions would not do: they have no common value
 where the hexahedron collapses, so their gradients are unbounded there.)
 
 Refinement is exact and nested: tetrahedra by Bey's red refinement, hexahedra of "hex4" by de Casteljau, "hex1" by
@@ -35,7 +36,7 @@ from geometry.tets.conversion import (
 )
 from geometry.tets.hexes import DEGENERATE_FACES, hex_facets, hex_vertices
 from geometry.tets.mesh import TetMesh
-from geometry.tets.reader import extensions, read_tets
+from geometry.tets.reader import SURFACES, extensions, read_tets
 from geometry.tets.subdivision import refine_facets, refine_hexes, refine_tets, refine_vertices
 from iga.bernstein import bernstein, elevation
 from iga.block import Block, Patterns
@@ -54,8 +55,15 @@ _CHUNK = 20_000
 
 
 def reads(path: str | Path) -> bool:
-    """Whether the ending is one of a mesh file."""
-    return str(path).lower().endswith(extensions())
+    """Whether a file looks like a volume mesh: by its ending, and by its content where endings are shared."""
+    path = Path(path)
+    ending = path.suffix.lower()
+    if not path.name.lower().endswith(extensions()) or ending in SURFACES:
+        return False
+    if ending not in (".mesh", ".xml") or not path.is_file():
+        return True
+    content = path.read_bytes()
+    return b"<dolfin" in content[:2000] if ending == ".xml" else b"Tetrahedra" in content
 
 
 def build(path: str | Path, **parameters: Any) -> Domain:
