@@ -1,0 +1,264 @@
+"""The result of a solve: coefficients, quantities that can be evaluated at points, and the log of how it was found.
+
+A quantity is a function of a sample (a chunk of the domain, or located points): temperature, heat_flux, displacement,
+strain, stress (6, Voigt order xx, yy, zz, yz, xz, xy), von_mises. Nothing is stored but the coefficients.
+
+Axis letters: n function, c component, q point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from iga import norms
+from iga.assembly import matrix, vector
+from iga.block import bezier_coefficients
+from iga.chunk import chunks
+from iga.domain import Domain, max_degree
+from iga.errors import InputError
+from iga.integrands import Load, Mass
+from iga.solvers import solve as solve_linear
+from problems.data import Sample
+from problems.formula import Formula
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """Something to look at.
+
+    Attributes
+    ----------
+    shape : () for a scalar, (3,) for a vector, (6,) for a Voigt tensor
+    evaluate : gives the values (..., *shape) at a sample
+    coefficients : (n,) or (n, c) if the quantity lies in the space
+    """
+
+    shape: tuple[int, ...]
+    evaluate: Callable[[Sample], Array]
+    coefficients: Array | None = None
+
+
+def primary(coefficients: Array) -> Quantity:
+    """Return the quantity that has these coefficients (n,) or (n, c)."""
+    return Quantity(coefficients.shape[1:], lambda sample: sample.at(coefficients), coefficients)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A solved problem.
+
+    Attributes
+    ----------
+    domain : what it was solved on
+    problem : "heat", "elasticity", ...
+    coefficients : (n,) temperature or (n, 3) displacement
+    quantities : by name; the first is the unknown itself
+    log : functions, unknowns, assemble_s, solve_s, iterations, residual, solver, energy
+    reactions : heat or force (3,) that each held boundary takes up
+    norms : distance to an exact solution, where one is known
+    times, history : (k,) and (k, n) of a transient solution
+    """
+
+    domain: Domain
+    problem: str
+    coefficients: Array
+    quantities: Mapping[str, Quantity]
+    log: Mapping[str, Any]
+    reactions: Mapping[str, Any] = field(default_factory=dict)
+    norms: norms.Errors | None = None
+    times: Array | None = None
+    history: Array | None = None
+
+    @property
+    def fields(self) -> dict[str, Array]:
+        """Coefficients of every quantity that lies in the space, by name."""
+        return {name: q.coefficients for name, q in self.quantities.items() if q.coefficients is not None}
+
+    @property
+    def unknown(self) -> str:
+        """Name of the unknown: "temperature" or "displacement"."""
+        return next(iter(self.quantities))
+
+    def quantity(self, name: str) -> Quantity:
+        """Return a quantity by name, or say which exist."""
+        if name not in self.quantities:
+            raise InputError(f"the solution has no '{name}'; it has: {', '.join(self.quantities)}")
+        return self.quantities[name]
+
+    def probe(self, points: ArrayLike, name: str | None = None) -> Array:
+        """Values at physical points (k, 3) of a quantity (the unknown by default): (k, *shape).
+
+        Raises
+        ------
+        InputError
+            A point lies outside the domain; it is named.
+        """
+        sample = located(self.domain, np.asarray(points, dtype=float).reshape(-1, 3))
+        return self.quantity(name or self.unknown).evaluate(sample)
+
+    def samples(self, name: str, points: int | None = None) -> Iterator[tuple[Array, Array, Array]]:
+        """Walk over the quadrature points: physical points (e, q, 3), weights (e, q), values (e, q, *shape)."""
+        quantity = self.quantity(name)
+        for chunk in chunks(self.domain, points):
+            yield chunk.x, chunk.dx, quantity.evaluate(chunk)
+
+    def extrema(self, name: str, points: int | None = None) -> tuple[float, float]:
+        """Smallest and largest value at the quadrature points; of the length, for vectors and tensors."""
+        low, high = np.inf, -np.inf
+        for _, _, value in self.samples(name, points):
+            if self.quantity(name).shape:
+                value = np.linalg.norm(value.reshape(*value.shape[:2], -1), axis=-1)
+            low, high = min(low, float(value.min())), max(high, float(value.max()))
+        return low, high
+
+    def errors(
+        self,
+        exact: Formula | Callable[[Array], Array],
+        gradient: Callable[[Array], Array] | None = None,
+        points: int | None = None,
+    ) -> norms.Errors:
+        """Distance of the unknown to an exact solution; a formula's gradient need not be given."""
+        if gradient is None and isinstance(exact, Formula):
+            gradient = exact.gradient()
+        return norms.errors(self.domain, self.coefficients, exact, gradient, points)
+
+    def compared(self, exact: Formula, points: int | None = None, t: float | None = None) -> Solution:
+        """Return the solution with its norms: the distance to an exact formula (at time t, by default the last)."""
+        if exact.shape != self.coefficients.shape[1:]:
+            raise InputError(
+                f"exact solution '{exact.text}' has {len(exact.expressions)} formulas; {self.unknown} needs "
+                f"{int(np.prod(self.coefficients.shape[1:], dtype=int))}"
+            )
+        t = t if t is not None else (0.0 if self.times is None else float(self.times[-1]))
+        minimum = None if points is None else max(points, max_degree(self.domain) + 3)
+        return replace(self, norms=self.errors(exact.at(t), exact.gradient().at(t), minimum))
+
+    def summary(self) -> dict[str, Any]:
+        """Return the numbers that ``iga solve --json`` prints; norms are None where no exact solution is known.
+
+        ``h1_error`` is the L2 norm of the error's gradient and ``relative_h1_error`` divides it by that of the exact
+        gradient. ``extrema`` are over the quadrature points: of values, and of lengths for vectors.
+        """
+        e = self.norms
+        seen = {
+            name: self.extrema(name) for name in ("temperature", "displacement", "von_mises") if name in self.quantities
+        }
+        return {
+            "problem": self.problem,
+            **{
+                name: self.log.get(name)
+                for name in ("functions", "unknowns", "assemble_s", "solve_s", "iterations", "residual")
+            },
+            "l2_error": e.l2 if e else None,
+            "h1_error": e.h1 if e else None,
+            "relative_l2_error": e.relative_l2 if e else None,
+            "relative_h1_error": e.relative_h1 if e else None,
+            "energy": self.log.get("energy"),
+            "extrema": {name: list(bounds) for name, bounds in seen.items()},
+            **{
+                name: self.log[name]
+                for name in ("solver", "preconditioner", "scheme", "steps", "eigenvalues")
+                if name in self.log
+            },
+            "reactions": {name: np.asarray(value).tolist() for name, value in self.reactions.items()},
+        }
+
+    def error_of(self, name: str, exact: Callable[[Array], Array], points: int | None = None) -> tuple[float, float]:
+        """L2 distance of any quantity to its exact value (..., *shape), and the L2 norm of the latter."""
+        error = size = 0.0
+        for x, dx, value in self.samples(name, points):
+            expected = np.asarray(exact(x)).reshape(*dx.shape, -1)
+            error += float((((value.reshape(expected.shape) - expected) ** 2).sum(axis=-1) * dx).sum())
+            size += float(((expected**2).sum(axis=-1) * dx).sum())
+        return float(np.sqrt(error)), float(np.sqrt(size))
+
+    def coefficients_of(self, name: str) -> Array:
+        """Coefficients (n,) or (n, c) of a quantity: its own, or those of its L2 projection into the space."""
+        quantity = self.quantity(name)
+        if quantity.coefficients is not None:
+            return quantity.coefficients
+        width = int(np.prod(quantity.shape, dtype=int))
+        M = matrix(self.domain, Mass())
+        columns = []
+        for c in range(width):
+
+            def load(chunk: Any, c: int = c) -> Array:
+                value = quantity.evaluate(chunk).reshape(*chunk.dx.shape, width)[..., c]
+                return Load(value)(chunk)
+
+            columns.append(solve_linear(M, vector(self.domain, load, components=1), domain=self.domain)[0])
+        return np.stack(columns, axis=-1).reshape(-1, *quantity.shape)
+
+    def pictured(self) -> dict[str, Any]:
+        """Return what a picture or a file of the solution shows: coefficients, or functions of samples, by name."""
+        return {name: q.evaluate if q.coefficients is None else q.coefficients for name, q in self.quantities.items()}
+
+    def plot(self, name: str | None = None, path: str | Path | None = None, **options: Any) -> NDArray[np.uint8]:
+        """Draw a quantity on the solid, off screen, into a PNG file if told; options of `iga.plot.plot_field`."""
+        from iga.plot import plot_field  # needs a graphics library, which a solve does not
+
+        quantity = self.quantity(name or self.unknown)
+        values = quantity.evaluate if quantity.coefficients is None else quantity.coefficients
+        return plot_field(self.domain, values, name or self.unknown, path, **options)
+
+
+# --- located points --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Scattered points as a sample: point k is at ``xi[k]`` of element ``element[k]`` of block ``block[k]``."""
+
+    domain: Domain
+    block: NDArray[np.int64]
+    element: NDArray[np.int64]
+    xi: Array
+
+    @property
+    def x(self) -> Array:
+        """Physical points (k, 3)."""
+        return self.at(self.domain.points)
+
+    def at(self, coefficients: Array) -> Array:
+        """Values (k,) or (k, c)."""
+        value = self._expand(coefficients.reshape(len(coefficients), -1))[0]
+        return value.reshape(len(self.xi), *coefficients.shape[1:])
+
+    def gradient(self, coefficients: Array) -> Array:
+        """Physical gradients (k, 3) or (k, c, 3)."""
+        J = self._expand(self.domain.points)[1]
+        slopes = self._expand(coefficients.reshape(len(coefficients), -1))[1]
+        return (slopes @ np.linalg.inv(J)).reshape(len(self.xi), *coefficients.shape[1:], 3)
+
+    def _expand(self, coefficients: Array) -> tuple[Array, Array]:
+        """Values (k, c) and reference gradients (k, c, d), by the quotient rule where the space has weights."""
+        space = self.domain.space
+        weights = np.ones((space.n, 1)) if space.weights is None else space.weights[:, None]
+        lifted = np.column_stack([coefficients * weights, weights])
+        value = np.empty((len(self.xi), lifted.shape[1]))
+        slope = np.empty((len(self.xi), lifted.shape[1], self.xi.shape[1]))
+        for number, block in enumerate(space.blocks):
+            here = np.flatnonzero(self.block == number)
+            if len(here):
+                B, dB = block.basis.tabulate(self.xi[here], 1)
+                local = bezier_coefficients(block, lifted, self.element[here])
+                value[here] = np.einsum("kb,kbc->kc", B, local)
+                slope[here] = np.einsum("kbd,kbc->kcd", dB, local)
+        W, dW = value[:, -1:], slope[:, -1:]
+        value = value[:, :-1] / W
+        return value, (slope[:, :-1] - value[..., None] * dW) / W[..., None]
+
+
+def located(domain: Domain, points: Array) -> Located:
+    """Find physical points (k, 3) in the domain."""
+    from iga.locate import locate
+
+    return Located(domain, *locate(domain, points))

@@ -1,0 +1,187 @@
+"""Linear systems with prescribed unknowns: solve, step in time, find modes, and what the supports take up.
+
+With unknowns split into free (i) and prescribed (d), K_ii u_i = f_i - K_id u_d, and the reactions are r_d = (K u -
+f)_d.
+
+Unknown ``i*c + a`` is component a of function i.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, eye_array, kron
+from scipy.sparse.linalg import LinearOperator, eigsh
+
+from iga.assembly import matrix, vector
+from iga.conditions import dirichlet
+from iga.domain import Domain
+from iga.errors import InputError
+from iga.factorization import factorize
+from iga.integrands import Load, Mass
+from iga.solvers import solve
+from problems.data import freeze
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+FACTORED = 150_000
+"""Unknowns up to which time stepping factors its matrix once instead of iterating in each step."""
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """K u = f with prescribed values of some unknowns; ``components`` per function."""
+
+    domain: Domain
+    K: csr_array
+    f: Array
+    fixed: Index
+    values: Array
+    components: int
+
+    def solve(self, solver: str = "auto") -> tuple[Array, dict[str, Any]]:
+        """Return all unknowns (n*c,) and the log."""
+        u, log = solve(self.K, self.f, (self.fixed, self.values), domain=self.domain, solver=solver)
+        return u, {"functions": self.domain.space.n, **asdict(log)}
+
+    def reactions(self, u: Array, held: Mapping[str, Any], points: int | None = None) -> dict[str, Any]:
+        """Return what each held boundary takes up: heat entering through it, or the force (3,) on the body.
+
+        ``held`` has the prescribed datum of each boundary. The reaction of a function on several of them is divided in
+        proportion to its integrals over them. Empty where the space has a constraint.
+        """
+        if self.domain.space.constraint is not None or not held:
+            return {}
+        residual = np.zeros_like(self.f)
+        residual[self.fixed] = (self.K @ u - self.f)[self.fixed]
+        residual = residual.reshape(-1, self.components)
+        shares = {}
+        for name, datum in held.items():
+            area = np.maximum(vector(self.domain, Load(1.0), points, boundary=name), 0.0)
+            parts = datum if isinstance(datum, tuple | list) else (0.0,) * self.components
+            shares[name] = area[:, None] * np.array([part is not None for part in parts])
+        total = sum(shares.values())
+        rate = np.divide(residual, total, out=np.zeros_like(residual), where=total > 0)
+        forces = {name: (rate * share).sum(axis=0) for name, share in shares.items()}
+        return {name: float(force[0]) if self.components == 1 else force for name, force in forces.items()}
+
+
+def prescribed(
+    domain: Domain, data: Mapping[str, Any], components: int, points: int | None, t: float = 0.0
+) -> tuple[Index, Array]:
+    """Return prescribed unknowns and values at time t from data by boundary name."""
+    if not data:
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+    return dirichlet(domain, {name: freeze_components(datum, t) for name, datum in data.items()}, components, points)
+
+
+def freeze_components(datum: Any, t: float) -> Any:
+    """Freeze a datum at time t, keeping None for components that are free."""
+    if isinstance(datum, tuple | list) and any(part is None for part in datum):
+        return tuple(None if part is None else freeze(part, t) for part in datum)
+    return freeze(datum, t)
+
+
+def initial_values(domain: Domain, datum: Any, fixed: Index, values: Array, points: int | None) -> Array:
+    """L2 projection (n,) of initial data, with prescribed unknowns kept."""
+    M, f = matrix(domain, Mass(), points), vector(domain, Load(datum), points)
+    return solve(M, f, (fixed, values), domain=domain)[0]
+
+
+def stepper(
+    domain: Domain, A: csr_array, fixed: Index, solver: str = "auto"
+) -> Callable[[Array, Array, Array], tuple[Array, dict[str, Any]]]:
+    """Return a function (right-hand side, prescribed values, last unknowns) -> (unknowns, log).
+
+    A is factored once, unless it is large, constrained, or ``solver`` is "cg"; then each step iterates from the last.
+    """
+    constrained = domain.space.constraint is not None
+    if solver == "cg" or constrained or (solver == "auto" and A.shape[0] > FACTORED):
+
+        def iterate(f: Array, values: Array, start: Array) -> tuple[Array, dict[str, Any]]:
+            first = None if constrained else start
+            u, log = solve(A, f, (fixed, values), domain=domain, solver=solver, start=first)
+            return u, {"functions": domain.space.n, **asdict(log)}
+
+        return iterate
+    free = np.setdiff1d(np.arange(A.shape[0]), fixed)
+    rows = csr_array(A[free])
+    coupling, inner = csr_array(rows[:, fixed]), csr_array(rows[:, free])
+    factor = factorize(inner)
+
+    def step(f: Array, values: Array, start: Array) -> tuple[Array, dict[str, Any]]:
+        u = np.empty(len(f))
+        right = f[free] - coupling @ values
+        u[fixed], u[free] = values, factor(right)
+        residual = float(np.linalg.norm(inner @ u[free] - right) / (np.linalg.norm(right) or 1.0))
+        return u, {
+            "functions": domain.space.n,
+            "solver": "direct",
+            "preconditioner": factor.name,
+            "unknowns": len(free),
+            "iterations": 1,
+            "residual": residual,
+        }
+
+    return step
+
+
+def eigenpairs(
+    domain: Domain, K: csr_array, M: csr_array, fixed: Index, count: int
+) -> tuple[Array, Array, dict[str, Any]]:
+    """Lowest eigenvalues (count,) and vectors (n*c, count) of K v = lambda M v with fixed unknowns zero, v^T M v = 1.
+
+    Shift and invert with the Lanczos method: K + s M is factored, s a small positive shift that makes it definite where
+    K has motions without energy. Relative residuals |K v - lambda M v| / |(K + s M) v| are in the log.
+
+    Raises
+    ------
+    InputError
+        More eigenpairs are asked for than there are unknowns.
+    """
+    components = K.shape[0] // domain.space.n
+    T = None
+    if domain.space.constraint is not None:
+        T = csr_array(kron(domain.space.constraint, eye_array(components), format="csr"))
+        K, M = csr_array(T.T @ (K @ T)), csr_array(T.T @ (M @ T))
+    free = np.setdiff1d(np.arange(K.shape[0]), fixed)
+    if not 1 <= count < len(free):
+        raise InputError(f"{count} modes are asked for of {len(free)} unknowns")
+    inner, mass = csr_array(K[free][:, free]), csr_array(M[free][:, free])
+    shift = 1e-6 * float((inner.diagonal() / mass.diagonal()).min())
+    shifted = csr_array(inner + shift * mass)
+    factor = factorize(shifted, symmetric=True)
+    inverse = LinearOperator(inner.shape, matvec=factor, dtype=float)
+    start = np.random.default_rng(20187).standard_normal(len(free))
+    values, vectors = eigsh(inner, count, mass, sigma=-shift, OPinv=inverse, v0=start)
+    order = np.argsort(values)
+    values, vectors = values[order], vectors[:, order]
+    error = np.linalg.norm(inner @ vectors - (mass @ vectors) * values, axis=0)
+    residual = float((error / np.linalg.norm(shifted @ vectors, axis=0)).max())
+    shapes = np.zeros((K.shape[0], count))
+    shapes[free] = vectors
+    log = {
+        "functions": domain.space.n, "unknowns": len(free), "iterations": 1, "residual": residual, "solver": "direct",
+        "preconditioner": factor.name,
+    }  # fmt: skip
+    return values, shapes if T is None else T @ shapes, log
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Laps of a stop watch by name."""
+
+    times: dict[str, float] = field(default_factory=dict)
+    last: list[float] = field(default_factory=lambda: [time.perf_counter()])
+
+    def lap(self, name: str) -> None:
+        """Add the time since the last lap under a name."""
+        now = time.perf_counter()
+        self.times[name] = self.times.get(name, 0.0) + now - self.last[0]
+        self.last[0] = now
