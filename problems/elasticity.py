@@ -1,0 +1,256 @@
+r"""Linear elasticity: static and its lowest modes.
+
+    -div sigma = body force,   sigma = C (strain(u) - expansion * temperature * m),   m = (1, 1, 1, 0, 0, 0)
+    u = displacement (whole, or some components)   on some boundaries,
+    sigma n = traction - pressure n - S u          on others; stress-free elsewhere.
+
+C (6, 6) in Voigt order xx, yy, zz, yz, xz, xy with engineering shear. The elastic support S is k (all directions) or
+k n n^T (along the normal). A body whose supports leave rigid motions free is refused, and the motions are named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
+
+from iga import integrands
+from iga.assembly import matrix, vector
+from iga.chunk import Chunk, chunks
+from iga.domain import Domain
+from iga.errors import InputError
+from iga.field import Field
+from iga.integrands import InitialStrain, Load, Mass, Pressure
+from problems.data import Datum, Sample, exclude, freeze, resolve, values
+from problems.material import checked, isotropic
+from problems.rigid import describe_free
+from problems.solution import Quantity, Solution, primary
+from problems.system import Clock, System, eigenpairs, prescribed
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """Elastic support: ``stiffness`` k (force per area and displacement), along the normal or in all directions."""
+
+    stiffness: Datum
+    normal: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Elasticity:
+    """Data of linear elasticity; boundaries are given by name or shell pattern.
+
+    Attributes
+    ----------
+    stiffness : (6, 6), formula of that shape, function of x or field; see :mod:`problems.material`
+    body_force : force per volume (3,)
+    displacement : (3,) per boundary; components that are None stay free
+    traction, pressure, support : loads and elastic supports; a component is either held or loaded
+    expansion : thermal strain per degree, a number or Voigt vector (6,)
+    temperature : rise above the stress-free temperature: number, formula, function, field
+    density : mass per volume, for modes
+    """
+
+    stiffness: Any = field(default_factory=lambda: isotropic(1.0, 0.3))
+    body_force: Datum = (0.0, 0.0, 0.0)
+    displacement: Mapping[str, Any] = field(default_factory=dict)
+    traction: Mapping[str, Datum] = field(default_factory=dict)
+    pressure: Mapping[str, Datum] = field(default_factory=dict)
+    support: Mapping[str, Support] = field(default_factory=dict)
+    expansion: float | ArrayLike = 0.0
+    temperature: Datum = 0.0
+    density: Any = 1.0
+
+
+def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int | None = None) -> Solution:
+    """Solve the static problem.
+
+    Parameters
+    ----------
+    solver : "auto", "direct" or "cg"
+    points : Gauss points per direction, by default degree + 1
+
+    Raises
+    ------
+    InputError
+        Unknown boundaries, conditions that exclude each other, a material that is not positive definite, or supports
+        that leave rigid motions free (they are named).
+    """
+    clock = Clock()
+    problem = resolved(problem, domain)
+    C = checked(problem.stiffness, "stiffness", 6, domain)
+    fixed, value = prescribed(domain, problem.displacement, 3, points)
+    springs = support_matrix(problem, domain, points)
+    require_supports(domain, fixed, springs)
+    K = matrix(domain, stiffness_integrand(C), points, components=3)
+    f = load(problem, domain, points)
+    thermal = thermal_strain(problem)
+    if thermal is not None:
+        heating = vector(
+            domain, lambda chunk: InitialStrain(*thermal_terms(C, thermal, chunk))(chunk), points, components=3
+        )
+        f = f + heating
+    system = System(domain, K if springs is None else K + springs, f, fixed, value, 3)
+    clock.lap("assemble_s")
+    u, log = system.solve(solver)
+    clock.lap("solve_s")
+    energy = 0.5 * float(u @ (K @ u))
+    if thermal is not None:
+        energy += -float(u @ heating) + thermal_energy(domain, C, thermal, points)
+    log = {**log, **clock.times, "energy": energy}
+    quantities = quantities_of(u.reshape(-1, 3), C, thermal)
+    reactions = system.reactions(u, problem.displacement, points)
+    return Solution(domain, "elasticity", u.reshape(-1, 3), quantities, log, reactions)
+
+
+def resolved(problem: Elasticity, domain: Domain) -> Elasticity:
+    """Return the problem with patterns replaced by the names they match, or raise if conditions exclude each other."""
+    displacement = resolve(domain, problem.displacement, "displacement")
+    loads = {what: resolve(domain, getattr(problem, what), what) for what in ("traction", "pressure", "support")}
+    whole = {
+        name: datum
+        for name, datum in displacement.items()
+        if not (isinstance(datum, tuple | list) and any(part is None for part in datum))
+    }
+    for name, datum in whole.items():
+        if isinstance(datum, int | float):
+            raise InputError(f"displacement on '{name}' needs three components, not one number")
+    for what, names in loads.items():
+        exclude(whole, names, ("displacement", what))
+    return Elasticity(
+        problem.stiffness,
+        problem.body_force,
+        displacement,
+        loads["traction"],
+        loads["pressure"],
+        loads["support"],
+        problem.expansion,
+        problem.temperature,
+        problem.density,
+    )
+
+
+def require_supports(domain: Domain, fixed: NDArray[np.int64], springs: csr_array | None) -> None:
+    """Raise unless every rigid motion is held; the message names those that are free."""
+    if domain.space.constraint is not None:
+        return  # unknowns are those of the constrained space; the solver checks them
+    free = describe_free(domain, fixed, springs)
+    if free:
+        raise InputError(f"the body can move freely: {free}; hold it by displacements or elastic supports")
+
+
+def stiffness_integrand(C: Any) -> Any:
+    """Return the integrand; fields (n, 36) are evaluated chunk by chunk."""
+    if isinstance(C, Field):
+        return lambda chunk: integrands.Elasticity(values(C, chunk, (6, 6)))(chunk)
+    return integrands.Elasticity(C)
+
+
+def support_matrix(problem: Elasticity, domain: Domain, points: int | None) -> csr_array | None:
+    """Matrix (3n, 3n) of the elastic supports."""
+    total = None
+    for name, support in problem.support.items():
+        k = checked(support.stiffness, f"support stiffness on '{name}'", 3, domain)
+
+        def spring(chunk: Chunk, k: Any = k, normal: bool = support.normal) -> Array:
+            stiffness = values(k, chunk, ())
+            if not normal:
+                return Mass(stiffness, 3)(chunk)
+            n = chunk.normal
+            return Mass(stiffness[..., None, None] * n[..., :, None] * n[..., None, :], 3)(chunk)
+
+        term = matrix(domain, spring, points, boundary=name, components=3)
+        total = term if total is None else total + term
+    return total
+
+
+def load(problem: Elasticity, domain: Domain, points: int | None) -> Array:
+    """Vector (3n,) of body force, tractions and pressures."""
+    f = vector(domain, Load(freeze(problem.body_force), 3), points)
+    for name, traction in problem.traction.items():
+        f += vector(domain, Load(freeze(traction), 3), points, boundary=name)
+    for name, pressure in problem.pressure.items():
+        f += vector(domain, Pressure(freeze(pressure)), points, boundary=name)
+    return f
+
+
+def thermal_strain(problem: Elasticity) -> Any:
+    """Return a function sample -> strain (..., 6) of the thermal expansion, or None without any."""
+    expansion = np.asarray(problem.expansion, dtype=float)
+    if expansion.shape not in ((), (6,)):
+        raise InputError(f"expansion is one number or six (Voigt order), not shape {expansion.shape}")
+    if not expansion.any():
+        return None
+    unit = expansion * np.array([1.0, 1, 1, 0, 0, 0]) if expansion.shape == () else expansion
+    rise = freeze(problem.temperature)
+    return lambda sample: values(rise, sample, ())[..., None] * unit
+
+
+def thermal_terms(C: Any, thermal: Any, chunk: Chunk) -> tuple[Array, Array]:
+    """Stiffness (e, q, 6, 6) and thermal strain (e, q, 6) on a chunk."""
+    return values(C, chunk, (6, 6)), thermal(chunk)
+
+
+def thermal_energy(domain: Domain, C: Any, thermal: Any, points: int | None) -> float:
+    """Half the integral of strain . C strain for the thermal strain."""
+    total = 0.0
+    for chunk in chunks(domain, points):
+        D, strain = thermal_terms(C, thermal, chunk)
+        total += 0.5 * float(np.einsum("eqv,eqvw,eqw,eq->", strain, D, strain, chunk.dx, optimize=True))
+    return total
+
+
+def quantities_of(u: Array, C: Any, thermal: Any) -> dict[str, Quantity]:
+    """Displacement (3,), strain (6,), stress (6,) and von Mises stress of coefficients u (n, 3)."""
+
+    def strain(sample: Sample) -> Array:
+        return integrands.strain(sample.gradient(u))
+
+    def stress(sample: Sample) -> Array:
+        elastic = strain(sample) if thermal is None else strain(sample) - thermal(sample)
+        return (values(C, sample, (6, 6)) @ elastic[..., None])[..., 0]
+
+    return {
+        "displacement": primary(u),
+        "strain": Quantity((6,), strain),
+        "stress": Quantity((6,), stress),
+        "von_mises": Quantity((), lambda sample: von_mises(stress(sample))),
+    }
+
+
+def von_mises(stress: Array) -> Array:
+    """Return the equivalent stress (...) of Voigt stresses (..., 6)."""
+    xx, yy, zz, yz, xz, xy = np.moveaxis(stress, -1, 0)
+    return np.sqrt(0.5 * ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) + 3.0 * (yz**2 + xz**2 + xy**2))
+
+
+def modes(
+    problem: Elasticity, domain: Domain, count: int = 6, points: int | None = None
+) -> tuple[Array, Array, dict[str, Any]]:
+    """Lowest natural frequencies: squared angular frequencies (count,) and shapes (n, 3, count), prescribed
+    displacements zero.
+
+    A body without supports is allowed: its first six values are zero.
+    """
+    clock = Clock()
+    problem = resolved(problem, domain)
+    C = checked(problem.stiffness, "stiffness", 6, domain)
+    K = matrix(domain, stiffness_integrand(C), points, components=3)
+    springs = support_matrix(problem, domain, points)
+    density = checked(problem.density, "density", 3, domain)
+    M = matrix(domain, Mass(density, 3), points)
+    zero = {
+        name: tuple(None if part is None else 0.0 for part in datum) if isinstance(datum, tuple | list) else (0.0,) * 3
+        for name, datum in problem.displacement.items()
+    }
+    fixed = prescribed(domain, zero, 3, points)[0]
+    clock.lap("assemble_s")
+    value, vectors, log = eigenpairs(domain, K if springs is None else K + springs, M, fixed, count)
+    clock.lap("solve_s")
+    return value, vectors.reshape(-1, 3, len(value)), {**log, **clock.times}
