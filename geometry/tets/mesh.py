@@ -133,7 +133,7 @@ def _check_simple(vertices: Index, coefficients: Array) -> None:
         raise InputError(f"{len(vertices)} tetrahedra do not fit coefficients of shape {coefficients.shape}")
     bad = np.flatnonzero(~(np.abs(coefficients) <= LARGEST).all(axis=(1, 2)))
     if len(bad):
-        raise InputError(f"tetrahedron {bad[0]} has a coordinate that is not a number up to {LARGEST:g}")
+        raise InputError(f"tetrahedron {bad[0]} has a coordinate that is no number up to {LARGEST:g}")
     ordered = np.sort(vertices, axis=1)
     twice = ordered[:, 1:] == ordered[:, :-1]
     bad = np.flatnonzero(twice.any(axis=1))

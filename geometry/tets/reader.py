@@ -173,7 +173,8 @@ def _bernstein(points: Array, blocks: list[Index], documented: str) -> tuple[Ind
         bad = np.argwhere(~(np.abs(points[data]) <= LARGEST))
         if len(bad):
             e, k = bad[0, :2]
-            raise InputError(f"node {data[e, k]} of tetrahedron {e} has a coordinate that is not a number up to {LARGEST:g}")
+            where = f"node {data[e, k]} of tetrahedron {e}"
+            raise InputError(f"{where} has a coordinate that is no number up to {LARGEST:g}")
         order = "vtk" if degree <= 2 else documented
         if degree > 1:
             order = _confirm_order(points, data, degree, order)

@@ -1,24 +1,15 @@
 r"""The geometry source "tets": meshes of linear and curved tetrahedra as Bezier tetrahedra or hexahedra.
 
-    convert = "none"   C0 Bezier tetrahedra, extraction the identity
-    convert = "hex4"   four hexahedra for each tetrahedron (Theorem 3), conforming, with their own C0 space
-    convert = "hex1"   one degenerate hexahedron for each tetrahedron (Theorem 1)
-
-A degenerate hexahedron carries the functions of its tetrahedron: with P = M T the tetrahedral function i is the
-combination sum_b M[b, i] B_b of hexahedral Bernstein functions, so the extraction C = M^T makes the space *equal* to
-the tetrahedral one, glued exactly as that is. (All (n+1)^3 Bernstein functions would not do: they have no common value
-where the hexahedron collapses, so their gradients are unbounded there.)
-
-Refinement is exact and nested: tetrahedra by Bey's red refinement, hexahedra of "hex4" by de Casteljau, "hex1" by
+Refinement is exact and nested: tetrahedra by Bey's red refinement, the hexahedra of "hex4" by de Casteljau, "hex1" by
 refining its tetrahedra. The domain keeps what that needs: its connectivity in `Provenance.arrays`, the coefficients in
 its own control points.
 
-Axis letters: e element, n function, b Bernstein function, c component.
+Axis letters: e element, n function, c component.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,36 +17,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.tets.boundary import split_by_angle
-from geometry.tets.conversion import (
-    degenerate_matrix,
-    degenerate_to_tet_points,
-    hex_matrices,
-    hex_to_tet_points,
-    tets_to_hexes,
-)
-from geometry.tets.hexes import DEGENERATE_FACES, hex_facets, hex_vertices
+from geometry.tets.domain import SOURCE, check_convert, domain_of, facets_from, pairs_from, points_of, raised, space_of
 from geometry.tets.mesh import TetMesh
 from geometry.tets.reader import SURFACES, extensions, read_tets
+from geometry.tets.shapes import ball, cube
 from geometry.tets.subdivision import refine_facets, refine_hexes, refine_tets, refine_vertices
-from iga.bernstein import bernstein, elevation
-from iga.block import Block, Patterns
-from iga.cells import HEXAHEDRON, TETRAHEDRON, Cell
-from iga.conforming import Complex, number
-from iga.domain import Domain, Facets, Provenance, Space
+from iga.cells import HEXAHEDRON, TETRAHEDRON
+from iga.domain import Domain, Provenance
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
-name = "tets"
-CONVERSIONS = ("none", "hex4", "hex1")
-#: Elements whose coefficients are made at a time.
-_CHUNK = 20_000
+name = SOURCE
+SHAPES: dict[str, Callable[[int, int], TetMesh]] = {"cube": cube, "ball": ball}
 
 
 def reads(path: str | Path) -> bool:
-    """Whether a file looks like a volume mesh: by its ending, and by its content where endings are shared."""
+    """Whether an input is a shape or looks like a volume mesh: by its ending, where that is shared by its content."""
+    if str(path) in SHAPES:
+        return True
     path = Path(path)
     ending = path.suffix.lower()
     if not path.name.lower().endswith(extensions()) or ending in SURFACES:
@@ -71,7 +51,8 @@ def build(path: str | Path, **parameters: Any) -> Domain:
 
     Parameters
     ----------
-    path : a file with tetrahedra in a format of meshio.
+    path : a file with tetrahedra in a format of meshio, or the name of a shape: "cube" or "ball".
+    n : for shapes only, cells along a side of the cube or refinements of the ball.
     convert : "none" (default), "hex4" or "hex1".
     degree : raise the file's degree to this one.
     angle : split the boundary where neighbouring facets meet at more than this angle (degrees).
@@ -81,7 +62,8 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     ------
     InputError : unknown or ill-typed parameters, a file that cannot be read (`FormatError`) or is no valid mesh.
     """
-    known = {"convert": "none", "degree": None, "angle": None, "tags": True}
+    shape = SHAPES.get(str(path))
+    known = {"convert": "none", "degree": None, "angle": None, "tags": True} | ({"n": 2} if shape else {})
     unknown = sorted(set(parameters) - set(known))
     if unknown:
         raise InputError(f"the source tets has no parameter {unknown[0]!r}; there are: {', '.join(known)}")
@@ -90,52 +72,12 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     degree = None if chosen["degree"] is None else _whole(chosen["degree"], "degree")
     angle = None if chosen["angle"] is None else _number(chosen["angle"], "angle")
     tags = _truth(chosen["tags"], "tags")
-    _check_convert(convert)
-    mesh = read_tets(path, tags=tags)
+    check_convert(convert)
+    mesh = shape(_whole(chosen["n"], "n"), degree or 2) if shape else read_tets(path, tags=tags)
     try:
-        return domain_of(mesh, convert, degree, angle, source=str(Path(path).name), tags=tags)
+        return domain_of(mesh, convert, degree, angle, source=Path(path).name, tags=tags)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from None
-
-
-def domain_of(
-    mesh: TetMesh,
-    convert: str = "none",
-    degree: int | None = None,
-    angle: float | None = None,
-    source: str = "",
-    tags: bool = True,
-) -> Domain:
-    """Domain of a mesh of Bezier tetrahedra; see `build` for the parameters.
-
-    Raises
-    ------
-    InputError : the degree is lower than the mesh's, or neighbours do not agree on a shared curved face.
-    """
-    _check_convert(convert)
-    target = mesh.degree if degree is None else degree
-    if target < mesh.degree:
-        raise InputError(f"degree {target} is lower than the mesh's degree {mesh.degree}; degrees can only be raised")
-    boundaries = dict(mesh.boundaries)
-    if angle is not None:
-        boundaries = split_by_angle(mesh, angle)
-    coefficients = _raise(TETRAHEDRON, mesh.degree, target, mesh.coefficients)
-    parameters: dict[str, Any] = {"convert": convert, "degree": target, "tags": tags}
-    if angle is not None:
-        parameters["angle"] = angle
-    report = dict(mesh.report)
-    if convert != "none":
-        report["conversion_residual"] = conversion_residual(coefficients, target, convert)
-    if convert == "hex4":
-        cells, vertices = HEXAHEDRON, hex_vertices(mesh.vertices)
-        boundaries = {key: hex_facets(facets) for key, facets in boundaries.items()}
-    else:
-        cells, vertices = TETRAHEDRON, mesh.vertices
-    space = _space(cells, vertices, target, convert)
-    points = _points(space, coefficients, convert == "hex4")
-    _check_gap(space, points, coefficients, convert == "hex4")
-    provenance = Provenance(name, source, parameters, {"vertices": vertices})
-    return Domain(space, points, _facets(boundaries, convert), provenance=provenance, report=report)
 
 
 def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
@@ -154,7 +96,7 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
         raise InputError(f"this domain comes from {domain.provenance.source or 'no source'!r}, not from tets")
     if levels < 0 or elevate < 0:
         raise InputError(f"levels {levels} and elevate {elevate} must not be negative")
-    convert = str(domain.provenance.parameters["convert"])
+    convert = str(domain.provenance.parameters.get("convert", "none"))
     cell = HEXAHEDRON if convert == "hex4" else TETRAHEDRON
     block = domain.space.blocks[0]
     degree = block.basis.degree[0]
@@ -162,14 +104,16 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
     columns = [domain.points, *(_columns(values) for values in domain.attributes.values())]
     coefficients = np.concatenate(columns, axis=1)[block.dofs]
     vertices = np.asarray(domain.provenance.arrays["vertices"], dtype=np.int64)
-    boundaries = {key: _pairs(facets, convert) for key, facets in domain.boundaries.items()}
+    if vertices.shape != (block.elements, len(cell.vertices)):
+        raise InputError(f"the domain's connectivity {vertices.shape} does not fit its {block.elements} elements")
+    boundaries = {key: pairs_from(facets, convert) for key, facets in domain.boundaries.items()}
     for _ in range(levels):
         coefficients = refine_hexes(coefficients) if cell is HEXAHEDRON else refine_tets(coefficients)
         vertices = refine_vertices(cell, vertices)
         boundaries = {key: refine_facets(cell, facets) for key, facets in boundaries.items()}
-    coefficients = _raise(cell, degree, degree + elevate, coefficients)
-    space = _space(cell, vertices, degree + elevate, convert)
-    fields = _points(space, coefficients)
+    coefficients = raised(cell, degree, degree + elevate, coefficients)
+    space = space_of(cell, vertices, degree + elevate, convert)
+    fields = points_of(space, coefficients)
     parameters = {**domain.provenance.parameters, "degree": degree + elevate}
     parameters["levels"] = int(parameters.get("levels", 0)) + levels
     attributes, at = {}, 3
@@ -181,116 +125,14 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
         domain,
         space=space,
         points=np.ascontiguousarray(fields[:, :3]),
-        boundaries=_facets(boundaries, convert),
+        boundaries=facets_from(boundaries, convert),
         attributes=attributes,
         provenance=Provenance(name, domain.provenance.input, parameters, {"vertices": vertices}),
     )
 
 
-def conversion_residual(coefficients: Array, degree: int, convert: str, seed: int = 20183) -> float:
-    """Largest distance between tetrahedra and their hexahedra over random points, relative to the size of the mesh.
-
-    Parameters
-    ----------
-    coefficients : (e, C, 3); at most 2000 tetrahedra are compared, each at 32 points per hexahedron.
-    """
-    random = np.random.default_rng(seed)
-    sample = coefficients[np.unique(np.linspace(0, len(coefficients) - 1, 2000).astype(np.int64))]
-    points = random.random((32, 3))
-    if convert == "hex1":
-        matrices, targets = degenerate_matrix(degree)[None], degenerate_to_tet_points(points)[None]
-    else:
-        matrices, targets = hex_matrices(degree), hex_to_tet_points(points)
-    values = bernstein(HEXAHEDRON, degree).tabulate(points, 0)[0]
-    worst = 0.0
-    for matrix, target in zip(matrices, targets):
-        exact = bernstein(TETRAHEDRON, degree).tabulate(target, 0)[0] @ sample
-        worst = max(worst, float(np.linalg.norm(values @ (matrix @ sample) - exact, axis=2).max()))
-    return worst / _size(coefficients)
-
-
-def _space(cell: Cell, vertices: Index, degree: int, convert: str) -> Space:
-    """C0 Bernstein space on the mesh; degenerate hexahedra carry the functions of their tetrahedra."""
-    (dofs,), n = number(Complex(((cell, vertices),)), degree)
-    if convert == "hex1":
-        C = np.ascontiguousarray(degenerate_matrix(degree).T)[None]
-        patterns = Patterns(C, np.zeros(len(dofs), dtype=np.int64))
-        return Space((Block(bernstein(HEXAHEDRON, degree), dofs, patterns),), n)
-    return Space((Block(bernstein(cell, degree), dofs),), n)
-
-
-def _local(coefficients: Array, elements: int, to_hexes: bool) -> Iterator[tuple[slice, Array]]:
-    """Element coefficients chunk by chunk, those of tetrahedra turned into hexahedra on the way."""
-    step = 4 if to_hexes else 1
-    for start in range(0, elements // step, _CHUNK):
-        part = coefficients[start : start + _CHUNK]
-        values = tets_to_hexes(part) if to_hexes else part
-        yield slice(step * start, step * (start + len(part))), values.reshape(step * len(part), -1, part.shape[2])
-
-
-def _points(space: Space, coefficients: Array, to_hexes: bool = False) -> Array:
-    """Control points (n, c) from the coefficients of elements."""
-    points = np.empty((space.n, coefficients.shape[2]))
-    dofs = space.blocks[0].dofs
-    for rows, values in _local(coefficients, len(dofs), to_hexes):
-        points[dofs[rows]] = values
-    return points
-
-
-def _check_gap(space: Space, points: Array, coefficients: Array, to_hexes: bool) -> None:
-    """Neighbours must agree on the coefficients they share."""
-    dofs = space.blocks[0].dofs
-    size = _size(coefficients)
-    for rows, values in _local(coefficients, len(dofs), to_hexes):
-        gap = np.abs(points[dofs[rows]] - values).max(axis=(1, 2))
-        if gap.max() > 1e-9 * size:
-            element = rows.start + int(gap.argmax())
-            raise InputError(
-                f"tetrahedron {element // 4 if to_hexes else element} and a neighbour disagree on a shared curved face "
-                f"by {gap.max():.2g}; the mesh does not fit together"
-            )
-
-
-def _facets(boundaries: Mapping[str, Index], convert: str) -> dict[str, tuple[Facets, ...]]:
-    """Named facets from pairs (f, 2) of element and face."""
-    made = {}
-    for key, pairs in boundaries.items():
-        faces = DEGENERATE_FACES[pairs[:, 1]] if convert == "hex1" else pairs[:, 1]
-        made[key] = tuple(Facets(0, int(k), np.sort(pairs[faces == k, 0])) for k in np.unique(faces))
-    return made
-
-
-def _pairs(facets: tuple[Facets, ...], convert: str) -> Index:
-    """Pairs (f, 2) of element and face from facets; faces of degenerate hexahedra become those of tetrahedra."""
-    back = {int(k): i for i, k in enumerate(DEGENERATE_FACES)}
-    parts = [np.zeros((0, 2), dtype=np.int64)]
-    for f in facets:
-        face = back[f.face] if convert == "hex1" else f.face
-        parts.append(np.column_stack([f.elements, np.full(len(f.elements), face)]))
-    return np.concatenate(parts)
-
-
-def _raise(cell: Cell, low: int, high: int, coefficients: Array) -> Array:
-    """Coefficients in a higher degree."""
-    if low == high:
-        return coefficients
-    basis = bernstein(cell, low)
-    return np.matmul(elevation(basis, bernstein(cell, high).degree), coefficients)
-
-
 def _columns(values: Array) -> Array:
     return values.reshape(len(values), -1)
-
-
-def _size(coefficients: Array) -> float:
-    """Diagonal of the bounding box."""
-    low, high = coefficients.min(axis=(0, 1)), coefficients.max(axis=(0, 1))
-    return float(np.linalg.norm(high - low)) or 1.0
-
-
-def _check_convert(convert: str) -> None:
-    if convert not in CONVERSIONS:
-        raise InputError(f"convert {convert!r} is unknown; there are: {', '.join(CONVERSIONS)}")
 
 
 def _whole(value: Any, key: str) -> int:

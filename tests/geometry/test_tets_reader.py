@@ -12,11 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from geometry.tets.conversion import degree_of
+from geometry.tets.domain import domain_of
 from geometry.tets.mesh import TetMesh, checked_mesh, straight_determinants
 from geometry.tets.order import node_columns, node_exponents
 from geometry.tets.reader import nodes_to_bernstein, read_tets
 from geometry.tets.shapes import ball, cube, mapped
-from geometry.tets.source import build, domain_of, reads
+from geometry.tets.source import build, reads
 from iga.bernstein import bernstein, greville
 from iga.cells import TETRAHEDRON
 from iga.errors import FormatError, InputError
@@ -252,9 +253,9 @@ CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [-1
         ([[0, 1, 2, 3], [1, 2, 3, 4], [3, 2, 1, 0]], None, "tetrahedra 0 and 2 have the same"),
         ([[0, 1, 2, 3], [1, 2, 3, 4]], (4, [1 / 3, 1 / 3, 1 / 3]), "tetrahedron 1 has no volume"),
         ([[0, 1, 2, 3], [0, 1, 2, 5], [0, 1, 2, 6]], None, "vertices 0, 1, 2 belongs to 3 tetrahedra"),
-        ([[0, 1, 2, 3]], (2, [0, np.nan, 0]), "tetrahedron 0 has a coordinate that is not"),
-        ([[0, 1, 2, 3]], (2, [0, np.inf, 0]), "tetrahedron 0 has a coordinate that is not"),
-        ([[0, 1, 2, 3]], (2, [0, 1e200, 0]), "tetrahedron 0 has a coordinate that is not"),
+        ([[0, 1, 2, 3]], (2, [0, np.nan, 0]), "tetrahedron 0 has a coordinate that is no number"),
+        ([[0, 1, 2, 3]], (2, [0, np.inf, 0]), "tetrahedron 0 has a coordinate that is no number"),
+        ([[0, 1, 2, 3]], (2, [0, 1e200, 0]), "tetrahedron 0 has a coordinate that is no number"),
     ],
 )
 def test_what_makes_no_mesh(vertices, change, words):

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from geometry.tets.conversion import hex_to_tet_points
+from geometry.tets.domain import domain_of
 from geometry.tets.mesh import TetMesh
 from geometry.tets.shapes import ball, cube, mapped
-from geometry.tets.source import build, domain_of, refine
+from geometry.tets.source import build, reads, refine
 from geometry.tets.subdivision import (
     blossom_matrix,
     face_children,
@@ -235,6 +236,16 @@ def _plain(mesh: TetMesh) -> tuple:
 def test_parameters_are_checked(parameters, word, data):
     with pytest.raises(InputError, match=word):
         build(data / "tet" / "sphere_P2.msh", **parameters)
+
+
+def test_shapes_by_name():
+    assert build("cube", n=1, degree=3).space.n == 64
+    solid = build("ball", n="1", degree="4", convert="hex4")
+    assert volume(refine(solid)) == pytest.approx(4 / 3 * np.pi, rel=1e-3)
+    assert list(solid.boundaries) == ["sphere"]
+    assert reads("ball")
+    with pytest.raises(InputError, match="'n'"):
+        build("cube.msh", n=2)
 
 
 def test_other_domains_are_not_refined():
