@@ -13,15 +13,27 @@ from geometry.nurbs.patch import Patch, derivatives, evaluate
 
 Array = NDArray[np.float64]
 
+SAMPLES = np.array([1 / 6, 1 / 2, 5 / 6])
+STARTS = np.linspace(0, 1, 13)
+
 
 def same_surface(face: Patch, target: Patch, tolerance: float, enough: int) -> bool:
     """Whether at least ``enough`` of nine interior points of a face lie within ``tolerance`` of another face."""
-    points = evaluate(face, _grid(face, np.array([1 / 6, 1 / 2, 5 / 6])))
-    inside = (points >= target.control.min(axis=(0, 1)) - tolerance).all(axis=1)
-    inside &= (points <= target.control.max(axis=(0, 1)) + tolerance).all(axis=1)
-    if inside.sum() < enough:
+    points = evaluate(face, _grid(face, SAMPLES))
+    points = points[(points >= target.control.min(axis=(0, 1)) - tolerance).all(axis=1)]
+    points = points[(points <= target.control.max(axis=(0, 1)) + tolerance).all(axis=1)]
+    if len(points) < enough:
         return False
-    return int((distances(points[inside], target) <= 10 * tolerance).sum()) >= enough
+    starts = _grid(target, STARTS)
+    there = evaluate(target, starts)
+    distance = np.linalg.norm(points[:, None] - there[None], axis=-1)
+    grid = there.reshape(len(STARTS), len(STARTS), 3)
+    spacing = sum(float(np.linalg.norm(np.diff(grid, axis=a), axis=-1).max()) for a in (0, 1))
+    near = distance.min(axis=1) <= spacing + tolerance
+    if near.sum() < enough:
+        return False
+    found = distances(points[near], target, starts[distance[near].argmin(axis=1)], tolerance)
+    return int((found <= 10 * tolerance).sum()) >= enough
 
 
 def _grid(face: Patch, fractions: Array) -> Array:
@@ -30,17 +42,17 @@ def _grid(face: Patch, fractions: Array) -> Array:
     return np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def distances(points: Array, face: Patch, steps: int = 15) -> Array:
-    """Distance of points (q, 3) to a face, (q,)."""
-    starts = _grid(face, np.linspace(0, 1, 13))
-    there = evaluate(face, starts)
-    parameters = starts[np.linalg.norm(points[:, None] - there[None], axis=-1).argmin(axis=1)]
+def distances(points: Array, face: Patch, starts: Array, tolerance: float, steps: int = 15) -> Array:
+    """Distance of points (q, 3) to a face, (q,), from parameters (q, 2); stops when all are within ``tolerance``."""
     low = np.array([t[0] for t in face.knots])
     high = np.array([t[-1] for t in face.knots])
+    parameters = starts
     best = np.full(len(points), np.inf)
     for _ in range(steps):
         x, J = derivatives(face, parameters)
-        best = np.minimum(best, np.linalg.norm(points - x, axis=-1))
+        before, best = best, np.minimum(best, np.linalg.norm(points - x, axis=-1))
+        if ((best <= tolerance) | (best > 0.99 * before)).all():  # there, or no longer coming closer
+            break
         step = np.einsum("qdc,qc->qd", np.linalg.pinv(J), points - x)
         parameters = np.clip(parameters + step, low, high)
     return best

@@ -113,7 +113,7 @@ def _patch(geometry: Element, where: str) -> Patch:
         degree = integers(vector.get("degree", ""), f"{where}, degree of direction {'xyz'[d]}")
         t = numbers(vector.text or "", f"{where}, knots of direction {'xyz'[d]}")
         if len(degree) != 1 or not 1 <= degree[0] <= len(t) - 2:
-            raise FormatError(f"{where}, direction {'xyz'[d]}: {len(t)} knots do not fit degree {degree}")
+            raise FormatError(f"{where}, direction {'xyz'[d]}: {len(t)} knots do not fit degree {vector.get('degree')}")
         knots.append(t)
         shape.append(len(t) - degree[0] - 1)
     for e in (coefs, geometry.find(".//weights")):
