@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from iga.domain import Domain
 from iga.errors import InputError
 
-BUILT_IN = ("nurbs", "tets")
+BUILT_IN = ("nurbs", "tets", "catmull_clark", "meccano", "hybrid")
 GROUP = "iga.geometry_sources"
 
 

@@ -18,6 +18,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.nurbs.knots import normalised
 from geometry.nurbs.multipatch import Multipatch, Name, glue
 from geometry.nurbs.patch import Patch, elevate, face_of, from_homogeneous, homogeneous, insert, split
 from geometry.nurbs.sweep import arc, disc, extrude, quadrilateral, rectangle, revolve, ruled
@@ -119,7 +120,7 @@ def hollow_sphere_octant(inner: float = 1.0, outer: float = 2.0) -> Multipatch:
         radial = np.roll(homogeneous(cap)[..., :3], turn, axis=-1)
         weight = homogeneous(cap)[..., 3:]
         values = np.stack([np.concatenate([r * radial, weight], axis=-1) for r in (inner, outer)])
-        patches.append(from_homogeneous((np.array([0.0, 0.0, 1.0, 1.0]), *cap.knots), values))
+        patches.append(from_homogeneous((np.array([0.0, 0.0, 1.0, 1.0]), *map(normalised, cap.knots)), values))
     names = [(name, p, f) for p in range(3) for f, name in enumerate(("inner", "outer"))]
     names += _planes(patches, {"x0": (0, 0.0), "y0": (1, 0.0), "z0": (2, 0.0)})
     return glue(patches, names, where="hollow_sphere_octant")

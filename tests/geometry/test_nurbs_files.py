@@ -232,12 +232,12 @@ def test_mutated_files_raise_input_errors_only(choice: st.DataObject, tmp_path_f
             raw = raw[:at]
     path = tmp_path_factory.mktemp("mutated") / name
     path.write_bytes(raw)
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         check(build(path))
     except InputError as error:
         assert "\n" not in str(error)
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 5
 
 
 def test_examples_really_differ() -> None:

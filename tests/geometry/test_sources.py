@@ -1,0 +1,88 @@
+"""The list of sources: guessing, refining through it, other packages' sources."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import geometry
+from iga.domain import Domain, Provenance, check
+from iga.errors import InputError
+from iga.store import load, save
+from tests.geometry.nurbs_files import FILES
+
+
+def test_built_in_sources_come_first() -> None:
+    known = geometry.sources()
+    assert list(known)[:2] == ["nurbs", "tets"]
+    for name, source in known.items():
+        assert source.name == name
+        assert not source.reads("no such file")
+
+
+def test_source_is_guessed_from_the_content(tmp_path: Path) -> None:
+    for name, text in FILES.items():
+        path = tmp_path / f"model{Path(name).suffix}"
+        path.write_text(text)
+        domain = geometry.build(path)
+        assert domain.provenance.source == "nurbs"
+        assert domain.provenance.input == str(path)
+    assert geometry.build("thick_ring", angle=90).provenance.source == "nurbs"
+
+
+def test_a_saved_domain_refines_like_the_one_in_memory(tmp_path: Path) -> None:
+    domain = geometry.build("cylinder", refine=1)
+    save(domain, tmp_path / "domain.npz")
+    one, two = geometry.refine(domain, 1, 1), geometry.refine(load(tmp_path / "domain.npz"), 1, 1)
+    check(two)
+    assert np.array_equal(one.points, two.points)
+    assert {k: [f.elements.tolist() for f in v] for k, v in one.boundaries.items()} == {
+        k: [f.elements.tolist() for f in v] for k, v in two.boundaries.items()
+    }
+    direct = geometry.build("cylinder", refine=2, elevate=1)
+    assert two.space.n != direct.space.n  # refining first leaves the first knots less smooth
+    assert two.provenance.parameters["refine"] == 2
+
+
+def test_errors_name_the_sources(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no geometry source is called 'step'; there are: nurbs, tets"):
+        geometry.build("cube", "step")
+    with pytest.raises(InputError, match="no such file"):
+        geometry.build(tmp_path / "absent.xml")
+    (tmp_path / "text.txt").write_text("nothing")
+    with pytest.raises(InputError, match="no geometry source reads it"):
+        geometry.build(tmp_path / "text.txt")
+    cube = geometry.build("cube")
+    alien = Domain(cube.space, cube.points, provenance=Provenance("voxels"))
+    with pytest.raises(InputError, match="source 'voxels', which is not here"):
+        geometry.refine(alien)
+    with pytest.raises(InputError, match="by source 'voxels', not by 'nurbs'"):
+        geometry.sources()["nurbs"].refine(alien)
+
+
+def test_sources_of_other_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    other = SimpleNamespace(
+        name="other", reads=lambda path: str(path) == "anything", build=lambda path: geometry.build("cube"),
+        refine=lambda domain, levels=1, elevate=0: domain,
+    )
+
+    def points(target: object) -> list[SimpleNamespace]:
+        def loaded() -> object:
+            if target is None:
+                raise ImportError("broken")
+            return target
+
+        return [SimpleNamespace(name="other", value="some-package", load=loaded)]
+
+    monkeypatch.setitem(geometry.sources.__globals__, "entry_points", lambda group: points(other))
+    assert list(geometry.sources())[-1] == "other"
+    assert geometry.build("anything").space.n == 8
+    monkeypatch.setitem(geometry.sources.__globals__, "entry_points", lambda group: points(None))
+    with pytest.raises(InputError, match="'other' of some-package cannot be loaded: broken"):
+        geometry.sources()
+    monkeypatch.setitem(geometry.sources.__globals__, "entry_points", lambda group: points(SimpleNamespace(name="x")))
+    with pytest.raises(InputError, match="has no 'reads'"):
+        geometry.sources()
