@@ -125,7 +125,11 @@ def bezier_coefficients(block: Block, values: Array, elements: Index | slice = s
     -------
     (m, b, c)
     """
-    local = values[block.dofs[elements]]
+    return to_bezier(block, values[block.dofs[elements]], elements)
+
+
+def to_bezier(block: Block, local: Array, elements: Index | slice = slice(None)) -> Array:
+    """Bernstein coefficients (m, b, c) from the coefficients (m, n, c) of the elements' own functions."""
     extraction = block.extraction
     if extraction is None:
         return local

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iga.bernstein import LocalBasis
-from iga.block import bezier_coefficients, dense_extraction
+from iga.block import dense_extraction, to_bezier
 from iga.cells import Cell
 from iga.domain import Domain, Facets, facets_of
 from iga.errors import InputError
@@ -79,11 +79,11 @@ class Chunk:
     @cached_property
     def control(self) -> Array:
         """Bernstein coefficients of (w x, w), (e, b, 4), or of x, (e, b, 3), if there are no weights."""
-        space = self.domain.space
-        points = self.domain.points
-        if space.weights is not None:
-            points = np.column_stack([points * space.weights[:, None], space.weights])
-        return bezier_coefficients(space.blocks[self.block], points, self.elements)
+        weights, local = self.domain.space.weights, self.domain.points[self.dofs]
+        if weights is not None:
+            own = weights[self.dofs][..., None]
+            local = np.concatenate([local * own, own], axis=2)
+        return to_bezier(self.domain.space.blocks[self.block], local, self.elements)
 
     @cached_property
     def _map(self) -> tuple[Array, Array, Array | None, Array | None]:
@@ -189,19 +189,33 @@ class Chunk:
 
     def at(self, coefficients: Array) -> Array:
         """Values at the points of a field with coefficients (N,) or (N, c): (e, q) or (e, q, c)."""
-        local = coefficients[self.dofs]
-        if local.ndim == 2:
-            return (self.N @ local[..., None])[..., 0]
-        return self.N @ local
+        values = self.table[0] @ self._bezier(coefficients)
+        W = self._map[2] if self.domain.space.weights is not None else None
+        if W is not None:
+            values /= W[..., None]
+        return values[..., 0] if coefficients.ndim == 1 else values
 
     def gradient(self, coefficients: Array) -> Array:
         """Physical gradients at the points: (e, q, 3), or (e, q, c, 3) with last axis the derivative."""
-        local = coefficients[self.dofs]
-        single = local.ndim == 2
-        if single:
-            local = local[..., None]
-        slopes = np.einsum("eqnd,enc->eqcd", self._functions[1], local, optimize=True) @ self.inverse
-        return slopes[..., 0, :] if single else slopes
+        values, gradients = self.table
+        local = self._bezier(coefficients)
+        e, q, d = len(self.elements), len(self.points), gradients.shape[2]
+        flat = gradients.transpose(0, 2, 1).reshape(q * d, -1)
+        slopes = (flat @ local).reshape(e, q, d, -1).swapaxes(2, 3)
+        W, dW = self._map[2], self._map[3]
+        if W is not None and dW is not None:
+            u = (values @ local) / W[..., None]
+            slopes = (slopes - u[..., None] * dW[..., None, :]) / W[..., None, None]
+        slopes = slopes @ self.inverse
+        return slopes[..., 0, :] if coefficients.ndim == 1 else slopes
+
+    def _bezier(self, coefficients: Array) -> Array:
+        """Bernstein coefficients (e, b, c) of a field, times the weights."""
+        local = coefficients[self.dofs].reshape(*self.dofs.shape, -1)
+        weights = self.domain.space.weights
+        if weights is not None:
+            local = local * weights[self.dofs][..., None]
+        return to_bezier(self.domain.space.blocks[self.block], local, self.elements)
 
 
 def default_points(basis: LocalBasis) -> tuple[int, ...]:
