@@ -176,10 +176,7 @@ def terms(integrand: object, at: Site, work: Buffers) -> Iterator[tuple[int, int
         for a in range(integrand.components):
             yield a, a, D
         return
-    if at.degenerate >= 0:
-        raise InputError(
-            f"element {at.lo + at.degenerate} of block {at.block} is degenerate (zero Jacobian) at a Gauss point"
-        )
+    require_regular(at)
     if isinstance(integrand, Diffusion):
         if values.shape[-2:] == (3, 3) and values.ndim in (2, 4):
             _require_symmetric(values)
@@ -193,6 +190,14 @@ def terms(integrand: object, at: Site, work: Buffers) -> Iterator[tuple[int, int
         return
     _require_symmetric(values)
     yield from _pairs(_full(values), 3, at, work)
+
+
+def require_regular(at: Site) -> None:
+    """Raise `InputError` with the element's number if det J = 0 at a point of a site."""
+    if at.degenerate >= 0:
+        raise InputError(
+            f"element {at.lo + at.degenerate} of block {at.block} is degenerate (zero Jacobian) at a Gauss point"
+        )
 
 
 def _require_symmetric(values: Array) -> None:

@@ -197,10 +197,13 @@ def interpolate(f: Frame, lo: int, hi: int, coefficients: Array, out: Array | No
     return result
 
 
-def distribute(f: Frame, lo: int, hi: int, r: Array, vector: Array) -> None:
-    """Add sum_q sum_s d_s N_i r_s to a vector (N, c), with r (hi - lo, c, 1 or 4, q) on elements lo..hi."""
+def distribute(f: Frame, lo: int, hi: int, r: Array, vector: Array, weighted: bool = True) -> None:
+    """Add sum_q sum_s d_s N_i r_s to a vector (N, c), with r (hi - lo, c, 1 or 4, q) on elements lo..hi.
+
+    Rational weights multiply the contributions if ``weighted``.
+    """
     m, c, s, q = r.shape
-    dofs, scale = f.block.dofs[lo:hi], f.factors_of(lo, hi)
+    dofs, scale = f.block.dofs[lo:hi], f.factors_of(lo, hi) if weighted else f.ones[:m]
     if f.factored and f.dense is None:
         tensor.distribute(f.literal)(f.sizes, *f.tables, f.pattern[lo:hi], dofs, scale, r, vector)
         return
@@ -215,6 +218,34 @@ def distribute(f: Frame, lo: int, hi: int, r: Array, vector: Array) -> None:
     if f.dense is not None:
         contribution = contribution @ np.swapaxes(f.dense.C, 1, 2)[f.dense.pattern[lo:hi]]
     local.add_vectors(contribution, dofs, scale, vector)
+
+
+def add_diagonals(f: Frame, lo: int, hi: int, D: Array, vector: Array) -> None:
+    """Add the diagonals of the element matrices of a form with symmetric D (hi - lo, 10, q) to a vector (N, 1)."""
+    m = hi - lo
+    dofs, scale = f.block.dofs[lo:hi], f.factors_of(lo, hi) ** 2
+    if f.factored and f.dense is None:
+        own = np.arange(m * f.block.n).reshape(m, -1)
+        result, ones = np.zeros((m * f.block.n, 1)), f.ones[:m]
+        for k, (s, t) in enumerate(PAIRS):
+            tables = [_squares(T, int(s == d + 1), int(t == d + 1)) for d, T in enumerate(f.tables)]
+            r = np.ascontiguousarray(D[:, k] if s == t else 2.0 * D[:, k])[:, None, None]
+            tensor.distribute(f.literal)(f.sizes, *tables, f.pattern[lo:hi], own, ones, r, result)
+        found = result.reshape(m, 1, -1)
+    else:
+        K = _bernstein_matrices(f, lo, hi, D)
+        if f.dense is not None:
+            C = f.dense.C[f.dense.pattern[lo:hi]]
+            found = np.einsum("enb,enb->en", C @ K, C)[:, None]
+        else:
+            found = np.ascontiguousarray(K[:, np.diagonal(f.place[True])])[:, None]
+    local.add_vectors(found, dofs, scale, vector)
+
+
+def _squares(T: Array, a: int, b: int) -> Array:
+    """Tables whose values are products of derivatives a and b of each one-dimensional function with itself."""
+    product = T[:, a] * T[:, b]
+    return np.stack([product, np.zeros_like(product)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
