@@ -9,12 +9,12 @@ U_d^T M_d U_d = I,
 
     P^-1 = (U_1 x U_2 x U_3) diag(1 / (l_1 + l_2 + l_3)) (U_1 x U_2 x U_3)^T:
 
-six small dense products (Sangalli and Tani 2016, doi:10.1137/16M1062375). The weights are constant on knot intervals and
-separable fits of the form's coefficients at the element centres (in logarithms),
+six small dense products (Sangalli and Tani 2016, doi:10.1137/16M1062375). The weights are constant on knot intervals
+and separable fits of the form's coefficients at the element centres (in logarithms),
 
     D_dd(s) ~ omega_d(s_d) prod_{k != d} mu_k(s_k),
 
-so that geometry and material enter as far as they separate. Each component has its own P, from its own D.
+so that geometry and material enter as far as they separate. Each component has its own P.
 
 Axis letters: d direction, s knot interval, i function of a direction, c component.
 """
@@ -137,7 +137,7 @@ def fast_diagonalisation(
 
     Raises
     ------
-    InputError : not a built-in form, or one that leaves P singular (a diffusion or elasticity problem with nothing fixed).
+    InputError : not a built-in form, or P is singular (diffusion or elasticity with nothing fixed).
     """
     if not known(integrand):
         raise InputError("fast diagonalisation exists for diffusion, elasticity and mass")

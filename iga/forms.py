@@ -107,15 +107,7 @@ def evaluate(coefficient: Coefficient, at: Site) -> Array:
     """
     m, q = at.dx.shape
     if isinstance(coefficient, Field):
-        u = coefficient.coefficients
-        single = u.ndim == 1
-        u = u.reshape(len(u), -1)
-        if at.frame.rational is not None:
-            u = u * at.frame.rational[:, None]
-        values = interpolate(at.frame, at.lo, at.hi, np.ascontiguousarray(u, dtype=float))[:, :, 0]
-        if at.frame.rational is not None:
-            values = values / at.W[:, None]
-        values = values[:, 0] if single else values.swapaxes(1, 2)
+        values = field_at(coefficient.coefficients, at)[0]
     elif callable(coefficient):
         x = at.x.swapaxes(1, 2)
         values = np.asarray(coefficient(x), dtype=float)
@@ -126,6 +118,28 @@ def evaluate(coefficient: Coefficient, at: Site) -> Array:
     if not np.isfinite(values).all():
         raise InputError(f"a coefficient is not finite at an element near element {at.lo} of block {at.block}")
     return values
+
+
+def field_at(coefficients: Array, at: Site, slopes: bool = False) -> tuple[Array, Array]:
+    """Values (m, q) of a field with coefficients (N,), or (m, q, c) with (N, c), at the points of a site.
+
+    With ``slopes`` also physical gradients (m, q, 3) or (m, q, c, 3); without, the second array is empty.
+    """
+    single = coefficients.ndim == 1
+    u = coefficients.reshape(len(coefficients), -1)
+    if at.frame.rational is not None:
+        u = u * at.frame.rational[:, None]
+    found = interpolate(at.frame, at.lo, at.hi, np.ascontiguousarray(u, dtype=float))
+    if at.frame.rational is not None:
+        found = found / at.W[:, None, None]
+        found[:, :, 1:] -= found[:, :, :1] * at.g[:, None]
+    values = found[:, :, 0].swapaxes(1, 2)
+    gradient = np.zeros(0)
+    if slopes:
+        m, q = at.dx.shape
+        gradient = np.einsum("mcsq,msxq->mqcx", found[:, :, 1:], at.inverse.reshape(m, 3, 3, q))
+        gradient = gradient[:, :, 0] if single else gradient
+    return (values[..., 0] if single else values), gradient
 
 
 def known(integrand: object) -> bool:

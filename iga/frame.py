@@ -12,6 +12,9 @@ derivatives).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -35,6 +38,19 @@ PAIRS = tuple((s, t) for s in range(4) for t in range(s, 4))
 
 LITERAL = 2e9
 """Floating-point operations from which on kernels are compiled for the sizes at hand: about what compiling costs."""
+
+
+_specialise: ContextVar[bool] = ContextVar("specialise", default=False)
+
+
+@contextmanager
+def specialised() -> Iterator[None]:
+    """Compile kernels for the sizes at hand inside the ``with`` block, however little the work is."""
+    token = _specialise.set(True)
+    try:
+        yield
+    finally:
+        _specialise.reset(token)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +125,7 @@ class Frame:
         """Sizes that the kernels are compiled for; zeros where the work is too little to be worth compiling."""
         n1, n2, n3, q1, _, _ = self.sizes
         flops = 32 * (n1 * n2 * n3) ** 2 * q1 * self.block.elements * self.repeat
-        return self.sizes if flops > LITERAL else (0, 0, 0, 0, 0, 0)
+        return self.sizes if flops > LITERAL or _specialise.get() else (0, 0, 0, 0, 0, 0)
 
     @cached_property
     def sizes(self) -> tuple[int, int, int, int, int, int]:

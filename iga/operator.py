@@ -2,8 +2,8 @@ r"""Matrix-free operators: the built-in forms as linear maps, with the signature
 
     K = operator(domain, Diffusion(k));   y = K @ x;   K.diagonal()
 
-What is kept is the form at the Gauss points (6 numbers a point for diffusion, 10 for elasticity, a few more for rational
-functions), nothing per pair of functions: a tricubic spline element needs 3 kB, its row of a matrix 4 kB. A product is
+What is kept is the form at the Gauss points (6 numbers a point for diffusion, 10 for elasticity, a few more for
+rational functions), nothing per pair of functions: a tricubic spline element needs 3 kB, its row of a matrix 4 kB. A product is
 one pass over the elements on all threads, by sum factorisation on hexahedra (`iga.kernels.apply`) and matrix products
 elsewhere. Unknown ``i*c + a`` is component a of function i.
 
@@ -22,7 +22,18 @@ from numpy.typing import NDArray
 from iga.assembly import Integrand
 from iga.domain import Domain
 from iga.errors import InputError
-from iga.forms import NotSymmetricError, Site, buffers, constant, control_points, evaluate, known, require_regular, site, terms
+from iga.forms import (
+    NotSymmetricError,
+    Site,
+    buffers,
+    constant,
+    control_points,
+    evaluate,
+    known,
+    require_regular,
+    site,
+    terms,
+)
 from iga.frame import Frame, add_diagonals, distribute, frames, interpolate
 from iga.integrands import Elasticity, Mass
 from iga.kernels import apply
@@ -141,9 +152,10 @@ def _kind(integrand: Integrand, f: Frame) -> tuple[int, int]:
 
 
 def _fill(
-    domain: Domain, integrand: Integrand, f: Frame, number: int, kind: int, control: Array, D: Array, begin: int, end: int
+    domain: Domain, integrand: Integrand, f: Frame, number: int, kind: int, control: Array, D: Array, begin: int,
+    end: int,
 ) -> Array:
-    """Set D on elements begin..end of a block; returns their stiffness, (1, 1, 6, 6) if the same everywhere or unused."""
+    """Set D on elements begin..end of a block; returns their stiffness, (1, 1, 6, 6) if constant or unused."""
     work = buffers(f)
     found = []
     for lo in range(begin, end, f.size):

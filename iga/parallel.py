@@ -18,6 +18,7 @@ from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Any, TypeVar
 
+import numba
 import numpy as np
 
 from iga.errors import InputError
@@ -47,7 +48,8 @@ def limited(count: int) -> Iterator[None]:
     if count < 1:
         raise InputError(f"{count} threads: at least one is needed")
     token = _limit.set(count)
-    blas = _blas()
+    blas, before = _blas(), numba.get_num_threads()
+    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
     try:
         if blas is None:
             yield
@@ -56,6 +58,7 @@ def limited(count: int) -> Iterator[None]:
                 yield
     finally:
         _limit.reset(token)
+        numba.set_num_threads(before)
 
 
 @lru_cache(maxsize=1)
