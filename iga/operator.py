@@ -3,9 +3,9 @@ r"""Matrix-free operators: the built-in forms as linear maps, with the signature
     K = operator(domain, Diffusion(k));   y = K @ x;   K.diagonal()
 
 What is kept is the form at the Gauss points (6 numbers a point for diffusion, 10 for elasticity, a few more for
-rational functions), nothing per pair of functions: a tricubic spline element needs 3 kB, its row of a matrix 4 kB. A product is
-one pass over the elements on all threads, by sum factorisation on hexahedra (`iga.kernels.apply`) and matrix products
-elsewhere. Unknown ``i*c + a`` is component a of function i.
+rational functions), nothing per pair of functions: a tricubic spline element needs 3 kB, its row of a matrix 4 kB. A
+product is one pass over the elements on all threads, by sum factorisation on hexahedra (`iga.kernels.apply`) and matrix
+products elsewhere. Unknown ``i*c + a`` is component a of function i.
 
 Axis letters: e element, q point, n function on the element, c component, s number kept at a point.
 """
