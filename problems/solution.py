@@ -23,6 +23,7 @@ from iga.chunk import chunks
 from iga.domain import Domain, max_degree
 from iga.errors import InputError
 from iga.integrands import Load, Mass
+from iga.locate import locate
 from iga.solvers import solve as solve_linear
 from problems.data import Sample
 from problems.formula import Formula
@@ -258,7 +259,16 @@ class Located:
 
 
 def located(domain: Domain, points: Array) -> Located:
-    """Find physical points (k, 3) in the domain."""
-    from iga.locate import locate
+    """Find physical points (k, 3) in the domain.
 
-    return Located(domain, *locate(domain, points))
+    Raises
+    ------
+    InputError
+        A point lies outside the domain; it is named.
+    """
+    found = locate(domain, points)
+    outside = np.flatnonzero(found.element < 0)
+    if len(outside):
+        where = ", ".join(f"{v:g}" for v in points[outside[0]])
+        raise InputError(f"point {outside[0]} at ({where}) lies outside the solid; move it inside")
+    return Located(domain, found.block, found.element, found.xi)
