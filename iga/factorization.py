@@ -16,14 +16,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from iga.errors import ConvergenceError, InputError
-from iga.kernels.sparse import multiply_scalar
+from iga.parallel import threads
+from iga.products import product
 
 try:
     import rslab
@@ -57,14 +57,16 @@ class Factor:
     name : which factorization.
     entries : stored entries of the factor.
     negative : number of negative eigenvalues, -1 where unknown.
+    fast : solution without refinement or judgement, for preconditioners.
+    norm : maximum norm of K.
     """
 
     matrix: csr_array
     name: str
     entries: int
     negative: int
-    _solve: Callable[[Array], Array]
-    _norm: float
+    fast: Callable[[Array], Array]
+    norm: float
 
     def __call__(self, f: Array) -> Array:
         """Solve K x = f with refinement.
@@ -78,37 +80,28 @@ class Factor:
             raise InputError(f"a right-hand side of length {f.shape[0]} does not fit {self.matrix.shape[0]} unknowns")
         if not np.isfinite(f).all():
             raise InputError(f"entry {np.argwhere(~np.isfinite(f))[0][0]} of the right-hand side is not finite")
-        x = self._solve(f)
+        x = self.fast(f)
         error = np.inf
         for _ in range(4):
             r = f - product(self.matrix, x)
-            scale = self._norm * np.abs(x).max(initial=0.0) + np.abs(f).max(initial=0.0)
+            scale = self.norm * np.abs(x).max(initial=0.0) + np.abs(f).max(initial=0.0)
             now = np.abs(r).max(initial=0.0) / scale if scale else 0.0
             if not now < 0.5 * error:  # no longer improving (or not a number)
                 break
             error, best = now, x
             if error < 1e-16:
                 break
-            x = best + self._solve(r)
+            x = best + self.fast(r)
         if not error <= ACCEPTED:
             raise ConvergenceError(f"the {self.name} factorization is not accurate: backward error {error:.1e}")
         return best
-
-
-def product(K: csr_array, x: Array) -> Array:
-    """K x on all threads, for x (n,) or (n, k)."""
-    if x.ndim == 1:
-        y = np.empty(K.shape[0])
-        multiply_scalar(K.indptr, K.indices, K.data, np.ascontiguousarray(x), y)
-        return y
-    return K @ x
 
 
 def estimate(K: csr_array) -> Estimate | None:
     """Cost of factoring a symmetric matrix, from its pattern alone; None if it cannot be told."""
     if rslab is None:
         return None
-    analysis = rslab.analyze(csc_array(K), path="ldlt", threads=numba.get_num_threads())
+    analysis = rslab.analyze(csc_array(K), path="ldlt", threads=threads())
     cost = analysis.estimate_memory()
     return Estimate(int(cost["factor_nnz"]), float(cost["factor_flops"]), float(cost["transient_peak_bytes"]))
 
@@ -187,7 +180,7 @@ def checked(K: Any) -> csr_array:
 
 
 def _ldlt(K: csr_array, symmetric: bool) -> tuple[Callable[[Array], Array], str, int, int]:
-    factor = rslab.ldlt(csc_array(K), threads=numba.get_num_threads())
+    factor = rslab.ldlt(csc_array(K), threads=threads())
 
     def solve(f: Array) -> Array:
         return factor.solve(np.ascontiguousarray(f)) if f.ndim == 1 else factor.solve_many(np.ascontiguousarray(f))

@@ -1,25 +1,33 @@
-r"""Multilevel preconditioners that are robust in the degree and the size of a space.
+r"""Preconditioners that are robust in the degree and the size of a space.
 
-One symmetric cycle, from a residual r to a correction x:
+Additive Schwarz on two levels, for degree two and more: with R_k the functions on element k, A_k = R_k A R_k^T and D
+the number of chosen elements a function is on,
 
-    x = (D + L)^-1 r;    x += W A_1^-1 W^T (r - A x);    x += (D + U)^-1 (r - A x)
+    z = D^-1/2 (sum_k R_k^T A_k^-1 R_k) D^-1/2 r  +  W A_1^-1 W^T r.
 
-with W from a coarser space. From degree p the next coarser space is that of the degree-one functions on the same cells,
-which for C0 Bernstein spaces is a subspace (W is degree elevation); a spline takes the average of the linear function's
-Bernstein coefficients over one of its elements (a local quasi-interpolation that keeps constants). The degree-one
-matrix A_1 = W^T A W is factored if that is cheap and coarsened by smoothed aggregation around the rigid motions if not
-(Vanek, Mandel and Brezina 1996, doi:10.1007/BF02238511). The matrix is scaled to unit diagonal and stored in single
-precision, which halves the traffic; the conjugate gradients around it stay in double precision. Sweeps run in parallel
-on parts of the rows; couplings between parts enter the diagonal, enough to keep the cycle positive definite (Baker et
-al. 2011, see `iga.kernels.sparse`).
+W comes from the degree-one functions on the same cells. For C0 Bernstein spaces these are a subspace (W is degree
+elevation); a spline takes the mean of the linear function's Bernstein coefficients over one of its elements (a local
+quasi-interpolation that keeps constants). The ill-conditioned high Bernstein modes live on one element, where A_k^-1 is
+exact, so that iterations hardly depend on the degree; neighbouring elements overlap in the functions they share
+(Pavarino 1993, doi:10.1007/BF01385709). Where functions are on many elements (splines), enough elements to
+cover every function are chosen. A_1 = W^T A W is factored if that is cheap and else preconditioned by
+
+smoothed aggregation, for degree one: cycles x = (D+L)^-1 r; x += P A_c^-1 P^T (r - A x); x += (D+U)^-1 (r - A x) around
+the constants or rigid motions (Vanek, Mandel and Brezina 1996, doi:10.1007/BF02238511). Sweeps run in parallel on
+parts of the rows; couplings between parts enter the diagonal, enough to keep the cycle positive definite (Baker et al.
+2011, see `iga.kernels.sparse`).
+
+Inverses and sweeps use matrices scaled to unit diagonal in single precision, which halves the traffic; the conjugate
+gradients around them stay in double precision.
 
 Axis letters: n function, e element, b Bernstein function, v vertex, c component, m mode.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pyamg
@@ -31,7 +39,10 @@ from iga.block import Block, Kronecker, Patterns, bezier_coefficients, dense_ext
 from iga.domain import Space
 from iga.errors import InputError
 from iga.factorization import estimate, factorize
+from iga.kernels import patches as patch_kernels
 from iga.kernels import sparse
+from iga.parallel import ranges, run, threads
+from iga.products import on_rows, product
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -69,48 +80,65 @@ class Level:
     up: csr_array | None
 
 
-def jacobi(K: csr_array) -> Preconditioner:
-    """Division by the diagonal."""
-    inverse = 1.0 / _positive_diagonal(K)
-    return Preconditioner("Jacobi", lambda r: inverse * r)
-
-
-def multilevel(K: csr_array, W: csr_array | None, modes: Array, block: int = 1) -> Preconditioner:
-    """Multilevel preconditioner of a symmetric positive definite matrix.
+def two_level(K: csr_array, W: csr_array, elements: Sequence[Index], modes: Array) -> Preconditioner:
+    """Additive Schwarz on elements with a degree-one coarse space.
 
     Parameters
     ----------
-    K : (n, n), sorted. Rows and columns of fixed unknowns may be those of the identity.
-    W : (n, n_1) prolongation from degree one, or None if K itself is of low degree.
-    modes : (n, m) functions of no energy but for boundary conditions (constants, rigid motions).
+    K : (n, n) symmetric positive definite, sorted.
+    W : (n, n_1) prolongation from degree one; without columns there is no coarse space.
+    elements : unknowns (e, m) of the elements of each block, -1 for unknowns that are fixed.
+    modes : (n, k) functions of no energy but for boundary conditions (constants, rigid motions).
+
+    Raises
+    ------
+    InputError : a diagonal entry of K is not positive.
+    """
+    scale = 1.0 / np.sqrt(_positive_diagonal(K))
+    patches, count = _patches(K, elements)
+    weight = 1.0 / np.sqrt(np.maximum(count, 1))
+    alone = np.where(count == 0, scale**2, 0.0)
+    name, coarse, up, down = "element Schwarz", None, None, None
+    if W.shape[1]:
+        A = csr_array(W.T @ csr_array(K @ W))
+        A.sum_duplicates()
+        up, down = W, csr_array(W.T.tocsr())
+        if _cheap(A):
+            coarse, name = factorize(A, symmetric=True).fast, f"{name}, degree one"
+        else:
+            inner = aggregation(A, _restrict_modes(W, modes))
+            coarse, name = inner.apply, f"{name}, degree one, {inner.name}"
+
+    def apply(r: Array) -> Array:
+        size = float(np.abs(r).max(initial=0.0)) or 1.0
+        z = alone * r + weight * (_schwarz(patches, (r * (weight / size)).astype(np.float32)) * size)
+        if coarse is not None and up is not None and down is not None:
+            z += product(up, coarse(product(down, r)))
+        return z
+
+    return Preconditioner(name, apply)
+
+
+def aggregation(K: csr_array, modes: Array, block: int = 1) -> Preconditioner:
+    """Smoothed aggregation with Gauss-Seidel cycles; a small matrix is factored.
+
+    Parameters
+    ----------
+    K : (n, n) symmetric positive definite, sorted. Rows and columns of fixed unknowns may be those of the identity.
+    modes : (n, k) functions of no energy but for boundary conditions (constants, rigid motions).
     block : 3 if unknowns come in triples that are to be relaxed together, else 1.
 
     Raises
     ------
     InputError : a diagonal entry of K is not positive.
     """
-    levels: list[Level] = []
-    name = "smoothed aggregation"
-    A, width = K, block
-    if W is not None and W.shape[1]:
-        levels.append(_level(A, W, width))
-        A = csr_array(W.T @ csr_array(A @ W))
-        A.sum_duplicates()
-        modes = _restrict_modes(W, modes)
-        name = "degree one"
-    elif W is not None:
-        levels.append(_level(A, None, width))
-        return Preconditioner("Gauss-Seidel", lambda r: _cycle(levels, 0, r, None))
-    if A.shape[0] > TINY and (not levels or not _cheap(A)):
-        hierarchy = _aggregate(A, modes, block)
-        for fine, P in hierarchy[:-1]:
-            levels.append(_level(fine, P, width if fine.shape[0] % width == 0 and fine is A else 1))
-        A = hierarchy[-1][0]
-        name = f"{name}, aggregation" if W is not None else name
-    coarse = factorize(A, symmetric=True)
-    if not levels:
-        return Preconditioner("factorization", coarse)
-    return Preconditioner(name, lambda r: _cycle(levels, 0, r, coarse._solve))
+    _positive_diagonal(K)
+    if K.shape[0] <= TINY:
+        return Preconditioner("factorization", factorize(K, symmetric=True).fast)
+    hierarchy = _aggregate(K, modes, block)
+    levels = [_level(fine, P, block if depth == 0 else 1) for depth, (fine, P) in enumerate(hierarchy[:-1])]
+    coarse = factorize(hierarchy[-1][0], symmetric=True).fast
+    return Preconditioner("smoothed aggregation", lambda r: _cycle(levels, 0, r, coarse))
 
 
 def rigid_motions(points: Array) -> Array:
@@ -248,7 +276,7 @@ def _level(K: csr_array, W: csr_array | None, block: int) -> Level:
     del rows
     if block == 1:
         pointers, columns, values = scaled.indptr, scaled.indices, scaled.data
-        starts = sparse.parts(pointers)
+        starts = _parts(pointers, 3000)
         outside = np.empty(n)
         sparse.outside_sums(pointers, columns, values, starts, outside)
         # M + M^T - A is positive definite if 2 m >= (sum outside) - d on the diagonal; a tenth of d to spare.
@@ -257,7 +285,7 @@ def _level(K: csr_array, W: csr_array | None, block: int) -> Level:
         blocked = bsr_array(scaled, blocksize=(block, block))
         blocked.sort_indices()
         pointers, columns, values = blocked.indptr, blocked.indices, blocked.data
-        starts = sparse.parts(pointers, 1000)
+        starts = _parts(pointers, 1000)
         outside = np.empty(K.shape[0])
         sparse.outside_sums(scaled.indptr, scaled.indices, scaled.data, starts * block, outside)
         diagonal = values[columns == np.repeat(np.arange(n), np.diff(pointers))]
@@ -285,13 +313,13 @@ def _cycle(levels: list[Level], depth: int, r: Array, coarse: Callable[[Array], 
     x = _sweep(level, b, forward=True)
     b -= _product(level, x)
     if level.down is not None and level.up is not None:
-        rest = _transfer(level.down, b).astype(float)
+        rest = product(level.down, b).astype(float)
         if depth + 1 < len(levels):
             correction = _cycle(levels, depth + 1, rest, coarse)
         else:
             assert coarse is not None
             correction = coarse(rest)
-        step = _transfer(level.up, correction.astype(np.float32))
+        step = product(level.up, correction.astype(np.float32))
         x += step
         b -= _product(level, step)
     x += _sweep(level, b, forward=False)
@@ -300,25 +328,71 @@ def _cycle(levels: list[Level], depth: int, r: Array, coarse: Callable[[Array], 
 
 def _sweep(level: Level, b: Single, forward: bool) -> Single:
     y = np.empty_like(b)
+    count, work = len(level.starts) - 1, level.values.size
     arguments = (level.pointers, level.columns, level.values, level.inverse, level.starts)
     if level.inverse.ndim == 1:
-        (sparse.forward_scalar if forward else sparse.backward_scalar)(*arguments, b, y)
+        on_rows(sparse.forward_scalar if forward else sparse.backward_scalar, count, work, *arguments, b, y)
     else:
         kernel = sparse.forward_block if forward else sparse.backward_block
-        kernel(*arguments, b.reshape(-1, 3), y.reshape(-1, 3))
+        on_rows(kernel, count, work, *arguments, b.reshape(-1, 3), y.reshape(-1, 3))
     return y
 
 
 def _product(level: Level, x: Single) -> Single:
     y = np.empty_like(x)
+    arguments = (level.pointers, level.columns, level.values)
     if level.inverse.ndim == 1:
-        sparse.multiply_scalar(level.pointers, level.columns, level.values, x, y)
+        on_rows(sparse.multiply_scalar, len(x), level.values.size, *arguments, x, y)
     else:
-        sparse.multiply_block(level.pointers, level.columns, level.values, x.reshape(-1, 3), y.reshape(-1, 3))
+        pair = (x.reshape(-1, 3), y.reshape(-1, 3))
+        on_rows(sparse.multiply_block, len(pair[0]), level.values.size, *arguments, *pair)
     return y
 
 
-def _transfer(W: csr_array, x: Single) -> Single:
-    y = np.empty(W.shape[0], dtype=np.float32)
-    sparse.multiply_scalar(W.indptr, W.indices, W.data, x, y)
-    return y
+def _parts(pointers: NDArray[np.int32], size: int, most: int = 16) -> Index:
+    """Starts (parts+1,) of contiguous parts with about equal numbers of entries, each of ``size`` rows or so."""
+    n = len(pointers) - 1
+    count = int(np.clip(n // size, 1, most))
+    starts = np.searchsorted(pointers, np.linspace(0, pointers[-1], count + 1)).astype(np.int64)
+    starts[0], starts[-1] = 0, n
+    return np.unique(starts)
+
+
+def _patches(K: csr_array, elements: Sequence[Index]) -> tuple[list[tuple[NDArray[np.int32], Single]], Array]:
+    """Chosen elements' unknowns (k, m) and inverses (k, m, m) per block, and how many of them each unknown is in."""
+    covered = np.zeros(K.shape[0], dtype=bool)
+    count = np.zeros(K.shape[0])
+    made = []
+    random = np.random.default_rng(20187)
+    for unknowns in elements:
+        own = np.sort(unknowns, axis=1).astype(np.int32)
+        own[:, 1:][own[:, 1:] == own[:, :-1]] = -1  # a degenerate element names a function twice
+        chosen = np.zeros(len(own), dtype=bool)
+        patch_kernels.choose(own, random.permutation(len(own)), covered, chosen)
+        own = np.ascontiguousarray(own[chosen])
+        inverses = np.empty((*own.shape, own.shape[1]), dtype=np.float32)
+        on_rows(patch_kernels.invert, len(own), inverses.size, own, K.indptr, K.indices, K.data, inverses)
+        np.add.at(count, own[own >= 0], 1.0)
+        made.append((own, inverses))
+    return made, count
+
+
+def _schwarz(patches: list[tuple[NDArray[np.int32], Single]], r: Single) -> Single:
+    """Sum of the patches' corrections."""
+    tasks = []
+    sums = []
+    work = sum(inverses.size for _, inverses in patches)
+    for first, last in ranges(1 << 20, threads() if work > 100_000 else 1):
+        y = np.zeros_like(r)
+        sums.append(y)
+        tasks.append((first / (1 << 20), last / (1 << 20), y))
+
+    def share(first: float, last: float, y: Single) -> None:
+        for own, inverses in patches:
+            n = len(own)
+            patch_kernels.smooth(round(first * n), round(last * n), own, inverses, r, y)
+
+    run([partial(share, *task) for task in tasks])
+    for y in sums[1:]:
+        sums[0] += y
+    return sums[0]

@@ -27,9 +27,10 @@ from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from iga.domain import Domain
 from iga.errors import ConvergenceError, InputError
-from iga.factorization import Factor, checked, estimate, factorize, product
+from iga.factorization import Factor, checked, estimate, factorize
 from iga.kernels import sparse
-from iga.preconditioners import linear_prolongation, multilevel, rigid_motions
+from iga.preconditioners import aggregation, linear_prolongation, rigid_motions, two_level
+from iga.products import absolute_product, product
 
 __all__ = ["Factor", "SolveLog", "factorize", "solve"]
 
@@ -165,6 +166,18 @@ class _Layout:
         W = linear_prolongation(self.domain.space)
         return W if W is None or self.rows is None else csr_array(W[self.rows])
 
+    def elements(self, held: NDArray[np.bool_]) -> list[Index]:
+        """Free unknowns (e, m) of each block's elements, counted without the held ones; -1 for those and for slaves."""
+        assert self.domain is not None
+        c = self.components
+        number = np.where(held, -1, np.cumsum(~held) - 1)
+        if self.rows is not None:
+            all_numbers = np.full((self.domain.space.n, c), -1, dtype=np.int64)
+            all_numbers[self.rows] = number.reshape(-1, c)
+        else:
+            all_numbers = number.reshape(-1, c)
+        return [all_numbers[block.dofs].reshape(block.elements, -1) for block in self.domain.space.blocks]
+
 
 @dataclass(frozen=True, eq=False)
 class _Task:
@@ -267,7 +280,8 @@ def _solve_cg(task: _Task, f: Array, free: Index, inner: csr_array | None, began
     K, held, layout = task.K, task.held, task.layout
     c = layout.components
     M: Callable[[Array], Array]
-    if task.preconditioner is not None or c != 3:
+    W = layout.prolongation() if task.preconditioner is None else None
+    if task.preconditioner is not None or W is not None or c != 3:
         keep, block = free, 1
         if inner is None:
             inner = _submatrix(K, free)
@@ -277,30 +291,26 @@ def _solve_cg(task: _Task, f: Array, free: Index, inner: csr_array | None, began
         keep, block = (nodes[:, None] * 3 + np.arange(3)).ravel(), 3
         inner = _submatrix(K, keep)
         _clear(inner, held[keep])
-    order = np.arange(len(keep))
-    if task.preconditioner is None:
-        order = _ordering(inner, block)
-        keep = keep[order]
-        inner = _submatrix(inner, order)
-        modes = layout.modes(K.shape[0])[keep]
-        modes[held[keep]] = 0.0
-        W = layout.prolongation()
-        if W is not None:
-            W = csr_array(kron(W, eye_array(c), format="csr")) if c > 1 else W
-            # Vertex functions that reach a fixed unknown do not vanish there.
-            touched = np.zeros(W.shape[1], dtype=bool)
-            touched[W[np.flatnonzero(held)].indices] = True
-            W = csr_array(W[keep][:, np.flatnonzero(~touched)])
-            W = csr_array(W[:, np.flatnonzero(np.diff(W.tocsc().indptr) > 0)])
-        M = multilevel(inner, W, modes, block)
-        name = M.name
+    name = "given"
+    if task.preconditioner is not None:
+        M = task.preconditioner
     else:
-        M, name = task.preconditioner, "given"
+        modes = layout.modes(K.shape[0])
+        modes[held] = 0.0
+        if W is not None:
+            M = two_level(inner, _inside(W, c, held), layout.elements(held), modes[keep])
+        else:
+            order = _ordering(inner, block)
+            keep = keep[order]
+            inner = _submatrix(inner, order)
+            M = aggregation(inner, modes[keep], block)
+        name = M.name
     g = np.where(held[keep], 0.0, f[keep])
     u = np.zeros(len(keep)) if task.start is None else np.where(held[keep], 0.0, np.asarray(task.start)[keep])
     ready = time.perf_counter()
     u, iterations, residual = conjugate_gradients(
-        lambda x: product(inner, x), g, M, u, task.tolerance, task.max_iterations, task.progress, _magnitude(inner)
+        lambda x: product(inner, x), g, M, u, task.tolerance, task.max_iterations, task.progress,
+        lambda x: absolute_product(inner, x),
     )
     solution = task.values.copy()
     solution[keep] = np.where(held[keep], solution[keep], u)
@@ -393,7 +403,7 @@ def conjugate_gradients(
             if length <= tolerance * goal and new <= tolerance**2 * energy:
                 break
             ratio = (new - float(old @ z)) / rz
-            sparse.direct_search(ratio, z, p)
+            sparse.turn(ratio, z, p)
             rz = new
             if length <= 1e-3 * tolerance * goal:  # far below: rounding keeps the energy norm from following
                 break
@@ -421,8 +431,15 @@ def _relative(part: Array, whole: Array) -> float:
     return float(np.linalg.norm(part)) / (length or 1.0)
 
 
-def _magnitude(K: csr_array) -> Callable[[Array], Array]:
-    return lambda u: abs(K) @ np.abs(u)
+def _inside(W: csr_array, c: int, held: NDArray[np.bool_]) -> csr_array:
+    """Prolongation to the free unknowns from the vertex functions that vanish at all held ones."""
+    W = csr_array(kron(W, eye_array(c), format="csr")) if c > 1 else W
+    touched = np.zeros(W.shape[1], dtype=bool)
+    touched[W[np.flatnonzero(held)].indices] = True
+    W = W[np.flatnonzero(~held)]
+    present = np.zeros(W.shape[1], dtype=bool)
+    present[W.indices] = True
+    return csr_array(W[:, np.flatnonzero(present & ~touched)])
 
 
 def _prefer_direct(K: csr_array) -> bool:

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from iga.conditions import dirichlet
-from iga.solvers import solve
 
 from iga.assembly import matrix, vector
 from iga.bernstein import bernstein, greville
 from iga.cells import HEXAHEDRON, PYRAMID, TETRAHEDRON, WEDGE, Cell
+from iga.conditions import dirichlet
 from iga.conforming import bezier_domain, straight_domain
 from iga.domain import Domain
 from iga.integrands import Diffusion, Load
 from iga.norms import Errors, errors
+from iga.solvers import solve
 from tests.meshes import bend, box_complex
 
 

@@ -1,0 +1,88 @@
+r"""Overlapping patches of unknowns: choosing them, inverting their matrices, and the additive Schwarz product
+
+    y = sum_k R_k^T A_k^-1 R_k r,      A_k = R_k A R_k^T,
+
+where R_k picks the unknowns of patch k. Unknown numbers below zero stand for nothing.
+
+Arrays: unknowns (k, m) sorted in each row, inverses (k, m, m) in single precision, vectors (n,).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from iga.kernels.options import OPTIONS
+
+Array = NDArray[Any]
+
+
+@njit(**OPTIONS)
+def choose(unknowns: Array, order: Array, covered: Array, chosen: Array) -> None:
+    """Mark, in the given order, each patch that has an unknown no earlier one covers."""
+    for k in order:
+        new = False
+        for i in unknowns[k]:
+            if i >= 0 and not covered[i]:
+                new = True
+                covered[i] = True
+        if new:
+            chosen[k] = True
+
+
+@njit(**OPTIONS)
+def invert(
+    first: int, last: int, unknowns: Array, pointers: Array, columns: Array, values: Array, inverses: Array
+) -> None:
+    """Write the inverses of the patches' matrices; rows and columns of absent unknowns become zero."""
+    m = unknowns.shape[1]
+    for k in range(first, last):
+        own = unknowns[k]
+        A = np.zeros((m, m))
+        scale = np.ones(m)
+        for a in range(m):
+            i = own[a]
+            if i < 0:
+                A[a, a] = 1.0
+                continue
+            b, at, stop = 0, pointers[i], pointers[i + 1]
+            while b < m and at < stop:
+                if own[b] < columns[at]:
+                    b += 1
+                elif own[b] > columns[at]:
+                    at += 1
+                else:
+                    A[a, b] = values[at]
+                    b += 1
+                    at += 1
+            scale[a] = 1.0 / np.sqrt(A[a, a])
+        for a in range(m):
+            for b in range(m):
+                A[a, b] *= scale[a] * scale[b]
+        inverse = np.linalg.inv(A)
+        for a in range(m):
+            for b in range(m):
+                present = own[a] >= 0 and own[b] >= 0
+                mean = 0.5 * (inverse[a, b] + inverse[b, a]) * scale[a] * scale[b]
+                inverses[k, a, b] = mean if present else 0.0
+
+
+@njit(**OPTIONS)
+def smooth(first: int, last: int, unknowns: Array, inverses: Array, r: Array, y: Array) -> None:
+    """Add the corrections of patches to y."""
+    m = unknowns.shape[1]
+    local = np.empty(m, dtype=np.float32)
+    for k in range(first, last):
+        for a in range(m):
+            i = unknowns[k, a]
+            local[a] = r[i] if i >= 0 else np.float32(0)
+        for a in range(m):
+            i = unknowns[k, a]
+            if i >= 0:
+                s = np.float32(0)
+                for b in range(m):
+                    s += inverses[k, a, b] * local[b]
+                y[i] += s
