@@ -29,7 +29,7 @@ from iga.domain import Domain
 from iga.errors import ConvergenceError, InputError
 from iga.factorization import Factor, checked, estimate, factorize
 from iga.kernels import sparse
-from iga.preconditioners import aggregation, linear_prolongation, rigid_motions, two_level
+from iga.preconditioners import Preconditioner, aggregation, linear_prolongation, rigid_motions, two_level
 from iga.products import absolute_product, product
 
 __all__ = ["Factor", "SolveLog", "factorize", "solve"]
@@ -262,8 +262,8 @@ def _solve_matrix(task: _Task, solver: str) -> tuple[Array, SolveLog]:
     direct = solver == "direct"
     inner = None
     if solver != "cg":
-        inner = _submatrix(K, free)
-        direct = direct or (task.preconditioner is None and _prefer_direct(inner))
+        inner = submatrix(K, free)
+        direct = direct or (task.preconditioner is None and prefer_direct(inner))
     if direct:
         assert inner is not None
         factor = factorize(inner)
@@ -284,12 +284,12 @@ def _solve_cg(task: _Task, f: Array, free: Index, inner: csr_array | None, began
     if task.preconditioner is not None or W is not None or c != 3:
         keep, block = free, 1
         if inner is None:
-            inner = _submatrix(K, free)
+            inner = submatrix(K, free)
     else:
         # Keep whole nodes, so that their 3x3 blocks survive; their fixed unknowns become rows of the identity.
         nodes = np.flatnonzero((~held).reshape(-1, 3).any(axis=1))
         keep, block = (nodes[:, None] * 3 + np.arange(3)).ravel(), 3
-        inner = _submatrix(K, keep)
+        inner = submatrix(K, keep)
         _clear(inner, held[keep])
     name = "given"
     if task.preconditioner is not None:
@@ -302,7 +302,7 @@ def _solve_cg(task: _Task, f: Array, free: Index, inner: csr_array | None, began
         else:
             order = _ordering(inner, block)
             keep = keep[order]
-            inner = _submatrix(inner, order)
+            inner = submatrix(inner, order)
             M = aggregation(inner, modes[keep], block)
         name = M.name
     g = np.where(held[keep], 0.0, f[keep])
@@ -316,6 +316,25 @@ def _solve_cg(task: _Task, f: Array, free: Index, inner: csr_array | None, began
     solution[keep] = np.where(held[keep], solution[keep], u)
     log = SolveLog("cg", name, len(free), iterations, residual, ready - began, time.perf_counter() - ready)
     return solution, log
+
+
+def preconditioner_for(
+    K: csr_array, held: NDArray[np.bool_], domain: Domain | None = None, constraint: csr_array | None = None
+) -> Preconditioner:
+    """Preconditioner of a matrix on the unknowns that are not held.
+
+    Parameters
+    ----------
+    K : (k, k) matrix on the free unknowns, in ascending order, sorted.
+    held : (N,) which of all unknowns are held.
+    domain, constraint : where the unknowns live, as for `solve`.
+    """
+    layout = _layout(domain, constraint, len(held))
+    modes = layout.modes(len(held))[~held]
+    W = layout.prolongation()
+    if W is None:
+        return aggregation(K, modes)
+    return two_level(K, _inside(W, layout.components, held), layout.elements(held), modes)
 
 
 def _solve_operator(
@@ -442,7 +461,8 @@ def _inside(W: csr_array, c: int, held: NDArray[np.bool_]) -> csr_array:
     return csr_array(W[:, np.flatnonzero(present & ~touched)])
 
 
-def _prefer_direct(K: csr_array) -> bool:
+def prefer_direct(K: csr_array) -> bool:
+    """Whether a factorization is predicted to be affordable in time and memory."""
     if K.shape[0] <= SMALL:
         return True
     if K.nnz > DIRECT_ENTRIES:
@@ -451,7 +471,8 @@ def _prefer_direct(K: csr_array) -> bool:
     return cost is not None and cost.operations <= DIRECT_OPERATIONS and cost.memory <= DIRECT_MEMORY
 
 
-def _submatrix(K: csr_array, keep: Index) -> csr_array:
+def submatrix(K: csr_array, keep: Index) -> csr_array:
+    """Rows and columns ``keep`` of a matrix, sorted."""
     if len(keep) == K.shape[0] and (keep == np.arange(len(keep))).all():
         return K
     made = csr_array(K[keep][:, keep])
