@@ -74,6 +74,8 @@ class Certificate:
     lower, upper : (e,) the minimum of det J lies between them.
     offsets : (blocks + 1,) elements of block i are offsets[i]:offsets[i + 1].
     witnesses : where refuted elements fail.
+    degenerate : (e,) undecided because the minimum is zero to within rounding: det J >= 0, touching zero. A hexahedron
+        with a collapsed face, or with two edges in line at a vertex.
     """
 
     verdict: NDArray[np.int8]
@@ -81,9 +83,10 @@ class Certificate:
     upper: Array
     offsets: Index
     witnesses: Witnesses
+    degenerate: NDArray[np.bool_]
 
 
-def certify(domain: Domain, tolerance: float = 0.1, max_depth: int = 8, budget: int = 20000) -> Certificate:
+def certify(domain: Domain, tolerance: float = 0.1, max_depth: int = 8, budget: int = 8000) -> Certificate:
     """Enclose the minimum of det J over every element from both sides.
 
     Every element is refined until its sign is decided; those that may hold the smallest determinant of the domain until
@@ -114,17 +117,23 @@ def certify(domain: Domain, tolerance: float = 0.1, max_depth: int = 8, budget: 
     if max_depth:
         _sharpen(jobs, enclosure, tolerance, max_depth, budget)
     verdict = np.where(enclosure.lower > 0.0, 1, np.where(enclosure.upper < 0.0, -1, 0)).astype(np.int8)
-    return Certificate(verdict, enclosure.lower, enclosure.upper, offsets, _witnesses(jobs, verdict, enclosure))
+    degenerate = enclosure.touching() & (verdict == 0)
+    witnesses = _witnesses(jobs, verdict, enclosure)
+    return Certificate(verdict, enclosure.lower, enclosure.upper, offsets, witnesses, degenerate)
 
 
 def summary(certificate: Certificate) -> dict[str, int | float | None]:
-    """Counts of verdicts, and the enclosure of the smallest determinant of the domain (None if it has no elements)."""
+    """Counts of verdicts, and the enclosure of the smallest determinant of the domain (None if it has no elements).
+
+    ``degenerate`` counts those of the undecided whose minimum is zero to within rounding.
+    """
     verdict = certificate.verdict
     some = len(verdict) > 0
     return {
         "certified": int((verdict > 0).sum()),
         "refuted": int((verdict < 0).sum()),
         "undecided": int((verdict == 0).sum()),
+        "degenerate": int(certificate.degenerate.sum()),
         "min_det_lower": float(certificate.lower.min()) if some else None,
         "min_det_upper": float(certificate.upper.min()) if some else None,
     }
@@ -161,10 +170,13 @@ class _Enclosure:
     def empty(cls, elements: int) -> _Enclosure:
         return cls(np.zeros(elements), np.zeros(elements), np.zeros(elements), np.zeros((elements, 3)))
 
+    def touching(self) -> NDArray[np.bool_]:
+        """The minimum is zero to within rounding (the bounds contain the rounding bound once more)."""
+        return (self.upper <= 2.0 * self.error) & (self.lower >= -2.0 * self.error)
+
     def undecided(self) -> NDArray[np.bool_]:
-        """Sign open, and not because the minimum touches zero within rounding."""
-        touching = (self.upper <= 2.0 * self.error) & (self.lower >= -2.0 * self.error)
-        return ~((self.lower > 0.0) | (self.upper < 0.0) | touching) & np.isfinite(self.lower)
+        """Sign open, and not because the minimum touches zero."""
+        return ~((self.lower > 0.0) | (self.upper < 0.0) | self.touching()) & np.isfinite(self.lower)
 
 
 class _Job:

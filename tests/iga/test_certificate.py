@@ -294,6 +294,8 @@ def test_collapsed_hexes_are_undecided_with_bound_zero(degree):
     assert (made.verdict == 0).all()
     assert np.abs(made.lower).max() < 1e-12
     assert np.abs(made.upper).max() < 1e-12
+    assert made.degenerate.all()
+    assert summary(made)["degenerate"] == summary(made)["undecided"] == 20
     # The tetrahedra themselves are valid.
     assert (certify(discontinuous(tet, control)).verdict == 1).all()
 
@@ -432,7 +434,7 @@ def test_blocks_of_all_cells_and_the_order_of_elements():
     assert (made.upper <= lone + 1e-15).all()
     answer = quality(domain)
     assert set(answer) == {
-        "certified", "refuted", "undecided", "min_det_lower", "min_det_upper", "scaled_jacobian",
+        "certified", "refuted", "undecided", "degenerate", "min_det_lower", "min_det_upper", "scaled_jacobian",
     }
     assert set(answer["scaled_jacobian"]) == {
         "min", "mean", "share_below_half", "cells_negative_gauss", "cells_negative_centre",
@@ -482,6 +484,7 @@ def test_not_finite_is_undecided():
     made = certify(Domain(domain.space, points))
     assert made.verdict[1] == 0
     assert made.lower[1] == -np.inf
+    assert not made.degenerate.any()
 
 
 def test_bad_requests():
