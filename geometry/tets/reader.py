@@ -21,6 +21,7 @@ from typing import Any
 import meshio
 import numpy as np
 from meshio._helpers import extension_to_filetypes
+from meshio.gmsh import _gmsh41
 from numpy.typing import NDArray
 
 from geometry.tets.conversion import degree_of
@@ -101,9 +102,12 @@ def _load(path: Path) -> meshio.Mesh:
             warnings.simplefilter("ignore")
             # NumPy only warns when text ends or turns unreadable in the middle of an array.
             warnings.filterwarnings("error", message=".*could not be read to its end.*")
-            mesh = meshio.read(path)
+            mesh = _read_with_partial_tags(path)
     except (Exception, SystemExit) as error:
-        reason = "" if isinstance(error, SystemExit) else f" ({type(error).__name__}: {error})"
+        # meshio prints the reason before it exits.
+        printed = "; ".join(line.strip() for line in said.getvalue().splitlines() if "Couldn't read" not in line)
+        reason = f" ({printed.strip('; ')})" if isinstance(error, SystemExit) else f" ({type(error).__name__}: {error})"
+        reason = "" if reason == " ()" else reason
         if isinstance(error, ModuleNotFoundError):
             reason = f" (this format needs the Python package {error.name})"
         text = " ".join(f"cannot be read as a mesh; it may be truncated or of another format{reason}".split())
@@ -111,6 +115,30 @@ def _load(path: Path) -> meshio.Mesh:
     if path.suffix.lower() == ".msh":
         _require_sections(path)
     return mesh
+
+
+def _read_with_partial_tags(path: Path) -> meshio.Mesh:
+    """Read a file; Gmsh's 4.1 files with entities outside all physical groups need help.
+
+    For those meshio lists fewer tags than cell blocks and then refuses its own lists. The groups are in the cell sets
+    as well, so such lists are dropped.
+    """
+    try:
+        return meshio.read(path)
+    except ValueError as error:
+        if path.suffix.lower() != ".msh" or "Incompatible cell data" not in str(error):
+            raise
+
+    def lenient(points: Any, cells: Any, cell_data: Any = None, **rest: Any) -> meshio.Mesh:
+        whole = {key: values for key, values in (cell_data or {}).items() if len(values) == len(cells)}
+        return meshio.Mesh(points, cells, cell_data=whole, **rest)
+
+    strict = _gmsh41.Mesh
+    _gmsh41.Mesh = lenient
+    try:
+        return meshio.read(path)
+    finally:
+        _gmsh41.Mesh = strict
 
 
 def _require_sections(path: Path) -> None:
@@ -226,6 +254,8 @@ def _groups(
     names = {int(v[0]): str(n) for n, v in mesh.field_data.items() if np.shape(v) == (2,) and int(v[1]) == 2}
     found: dict[str, list[Index]] = {name: [] for name in names.values()}
     tag_name, label = _tags(mesh)
+    # Sets know facets that are in several groups; a tag is only the first of them.
+    sets = {name: parts for name, parts in (mesh.cell_sets or {}).items() if not name.startswith("gmsh:")}
     for k, (kind, data) in enumerate(cells):
         if kind != "triangle" or not len(data):
             continue
@@ -233,11 +263,11 @@ def _groups(
         if tag_name:
             values = np.asarray(mesh.cell_data[tag_name][k]).reshape(len(triples), -1)[:, 0]
             for tag in np.unique(values).tolist():
-                if tag or tag in names:
+                if (tag or tag in names) and names.get(tag) not in sets:
                     found.setdefault(names.get(tag, f"{label}_{tag}"), []).append(triples[values == tag])
-        for name, sets in (mesh.cell_sets or {}).items():
-            chosen = None if name.startswith("gmsh:") or k >= len(sets) or sets[k] is None else np.asarray(sets[k])
-            if chosen is not None and chosen.size and chosen.dtype.kind in "iu" and not (tag_name and name in found):
+        for name, parts in sets.items():
+            chosen = np.asarray(parts[k] if k < len(parts) and parts[k] is not None else [])
+            if chosen.size and chosen.dtype.kind in "iu":
                 found.setdefault(name, []).append(triples[chosen[chosen < len(triples)].astype(np.int64)])
     regions = {str(n) for n, v in mesh.field_data.items() if np.shape(v) == (2,) and int(v[1]) == 3}
     if regions:

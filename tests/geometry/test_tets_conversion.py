@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from fractions import Fraction
 from itertools import permutations
 from math import comb, factorial
@@ -297,3 +298,14 @@ def test_wrong_numbers_of_coefficients_are_refused():
         tets_to_hexes(np.zeros((2, 11, 3)))
     with pytest.raises(InputError, match="degree 0"):
         hex_matrices(0)
+
+
+@pytest.mark.long
+def test_speed_of_conversion():
+    """250,000 cubic tetrahedra (a quarter of a million-tet mesh), processor time so that other load does not count."""
+    T = np.random.default_rng(3).standard_normal((250_000, 20, 3))
+    out = np.zeros((250_000, 4, 64, 3))
+    hex_matrices(3)
+    start = time.process_time()
+    tets_to_hexes(T, out)
+    assert time.process_time() - start < 2.0

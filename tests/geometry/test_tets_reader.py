@@ -174,6 +174,55 @@ def test_physical_groups_name_the_boundary(tmp_path):
     assert sum(len(f.elements) for f in domain.boundaries["inlet"]) == 24
 
 
+GMSH_PARTIAL = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$PhysicalNames
+2
+2 7 "floor"
+2 8 "both"
+$EndPhysicalNames
+$Entities
+0 0 3 1
+1 0 0 0 1 1 0 2 7 8 0
+2 0 0 0 1 0 1 1 8 0
+3 0 0 0 0 1 1 0 0
+1 0 0 0 1 1 1 0 3 1 2 3
+$EndEntities
+$Nodes
+1 4 1 4
+3 1 0 4
+1
+2
+3
+4
+0 0 0
+1 0 0
+0 1 0
+0 0 1
+$EndNodes
+$Elements
+4 4 1 4
+2 1 2 1
+1 1 3 2
+2 2 2 1
+2 1 2 4
+2 3 2 1
+3 1 4 3
+3 1 4 1
+4 1 2 3 4
+$EndElements
+"""
+
+
+def test_entities_in_several_physical_groups_and_in_none(tmp_path):
+    (tmp_path / "partial.msh").write_text(GMSH_PARTIAL)
+    read = read_tets(tmp_path / "partial.msh")
+    assert {k: v.tolist() for k, v in read.boundaries.items()} == {
+        "floor": [[0, 3]], "both": [[0, 2], [0, 3]], "boundary": [[0, 0], [0, 1]],
+    }
+
+
 def test_medit_references_name_the_boundary(tmp_path):
     points, cells, tags = quad_mesh({"x0": 3, "x1": 0, "y0": 8})
     path = tmp_path / "cube.mesh"
