@@ -181,7 +181,7 @@ def solve(domain: Domain, case: Case, solver: str | None = None, points: int | N
     physics: Any = heat if isinstance(case.problem, heat.Heat) else elasticity
     if case.modes is not None:
         return mode_solution(domain, case, physics, points)
-    if case.transient is not None:
+    if case.transient is not None and isinstance(case.problem, heat.Heat):
         solution = heat.march(case.problem, domain, **case.transient, solver=solver, points=points, keep=False)
     else:
         solution = physics.solve(case.problem, domain, solver, points)
@@ -286,8 +286,7 @@ def read_elasticity(sections: Mapping[str, Any], domain: Domain) -> elasticity.E
 
 def read_stiffness(table: Mapping[str, Any], domain: Domain) -> Any:
     """Read the elastic constants: exactly one of the three ways to give them."""
-    ways = {("E", "nu"): material.isotropic, ("lambda", "mu"): material.lame}
-    given = [names for names in (*ways, ("stiffness",)) if any(name in table for name in names)]
+    given = [names for names in (("E", "nu"), ("lambda", "mu"), ("stiffness",)) if any(name in table for name in names)]
     if len(given) != 1:
         raise InputError("[material] needs one of: E and nu; lambda and mu; stiffness")
     if given[0] == ("stiffness",):
@@ -295,7 +294,8 @@ def read_stiffness(table: Mapping[str, Any], domain: Domain) -> Any:
     for name in given[0]:
         if name not in table:
             raise InputError(f"[material] needs '{name}' beside '{next(n for n in given[0] if n != name)}'")
-    return ways[given[0]](*(scalar(table[name], f"[material] {name}", domain, SPACE) for name in given[0]))
+    make_stiffness = material.isotropic if given[0] == ("E", "nu") else material.lame
+    return make_stiffness(*(scalar(table[name], f"[material] {name}", domain, SPACE) for name in given[0]))
 
 
 # --- values ----------------------------------------------------------------------------------------------------------

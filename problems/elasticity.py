@@ -29,7 +29,7 @@ from problems.data import Datum, Sample, exclude, freeze, resolve, values
 from problems.material import checked, isotropic
 from problems.rigid import describe_free
 from problems.solution import Quantity, Solution, primary
-from problems.system import Clock, System, eigenpairs, prescribed
+from problems.system import Clock, System, modes_of, prescribed
 
 Array = NDArray[np.float64]
 
@@ -233,10 +233,9 @@ def von_mises(stress: Array) -> Array:
 def modes(
     problem: Elasticity, domain: Domain, count: int = 6, points: int | None = None
 ) -> tuple[Array, Array, dict[str, Any]]:
-    """Lowest natural frequencies: squared angular frequencies (count,) and shapes (n, 3, count), prescribed
-    displacements zero.
+    """Squares of the lowest angular frequencies (count,), shapes (n, 3, count), and the log.
 
-    A body without supports is allowed: its first six values are zero.
+    Prescribed displacements are zero. A body without supports is allowed: its first six values are zero.
     """
     clock = Clock()
     problem = resolved(problem, domain)
@@ -251,6 +250,6 @@ def modes(
     }
     fixed = prescribed(domain, zero, 3, points)[0]
     clock.lap("assemble_s")
-    value, vectors, log = eigenpairs(domain, K if springs is None else K + springs, M, fixed, count)
+    value, vectors, log = modes_of(domain, K if springs is None else K + springs, M, fixed, count)
     clock.lap("solve_s")
     return value, vectors.reshape(-1, 3, len(value)), {**log, **clock.times}

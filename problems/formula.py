@@ -311,12 +311,12 @@ def parse_expression(text: str, variables: Sequence[str] = VARIABLES, offset: in
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 if name not in FUNCTIONS:
                     raise bad(f"unknown function {shorten(name, 20)!r} (known: {', '.join(FUNCTIONS)})")
-                make, value, count = FUNCTIONS[name]
+                make, at_numbers, count = FUNCTIONS[name]
                 if len(arguments) != count or any(isinstance(a, ast.Starred) for a in arguments):
                     raise bad(f"function {name} takes {count} argument{'s' if count > 1 else ''}")
                 values = [visit(a, level + 1) for a in arguments]
                 if all(v.is_number for v in values):
-                    return literal(value(*(float(v) for v in values)), bad)
+                    return literal(at_numbers(*(float(v) for v in values)), bad)
                 return make(*values)
         raise bad("only numbers, variables, + - * / **, parentheses and the listed functions are allowed")
 
@@ -460,7 +460,7 @@ def add(*values: NDArray[np.float64] | float) -> NDArray[np.float64] | float:
 
 def multiply(*values: NDArray[np.float64] | float) -> NDArray[np.float64] | float:
     """Product of the arguments."""
-    return math.prod(values)  # type: ignore[arg-type, return-value]
+    return math.prod(values)
 
 
 def integer_power(exponent: int) -> Operation:
@@ -474,8 +474,8 @@ def integer_power(exponent: int) -> Operation:
             left >>= 1
             if left:
                 square = square * square
-        if exponent >= 0:
-            return 1.0 if result is None else result
-        return np.divide(1.0, result)
+        if result is None:
+            return 1.0
+        return result if exponent > 0 else np.divide(1.0, result)
 
     return raise_to

@@ -31,7 +31,7 @@ from iga.integrands import Diffusion, Load, Mass
 from problems.data import Datum, Sample, depends_on_time, exclude, freeze, resolve, values
 from problems.material import checked, is_tensor
 from problems.solution import Quantity, Solution, primary
-from problems.system import Clock, System, eigenpairs, initial_values, prescribed, stepper
+from problems.system import Clock, System, initial_values, modes_of, prescribed, stepper
 
 Array = NDArray[np.float64]
 
@@ -217,7 +217,7 @@ def march(
     f = load(problem, domain, points, 0.0)
     clock.lap("assemble_s")
     dt = end / steps
-    times = dt * np.arange(steps + 1)
+    times: Array = dt * np.arange(steps + 1, dtype=np.float64)
     history = [u]
     first = theta if scheme == "theta" else 0.5
     single = stepper(domain, M / dt + first * K, fixed, solver)
@@ -262,6 +262,6 @@ def modes(
     M = matrix(domain, Mass(checked(problem.capacity, "capacity", 3, domain)), points)
     fixed = prescribed(domain, dict.fromkeys(problem.temperature, 0.0), 1, points)[0]
     clock.lap("assemble_s")
-    values, shapes, log = eigenpairs(domain, conduction if exchange is None else conduction + exchange, M, fixed, count)
+    values, shapes, log = modes_of(domain, conduction if exchange is None else conduction + exchange, M, fixed, count)
     clock.lap("solve_s")
     return values, shapes, {**log, **clock.times}

@@ -50,7 +50,7 @@ class Exact:
         return from_array(np.asarray(entries), f"{self.flux.text} on a plane")
 
 
-def heat(u: Formula | str, conductivity: float | Array | Formula = 1.0, capacity: float | Formula = 1.0) -> Exact:
+def heat(u: Formula | str, conductivity: Any = 1.0, capacity: Any = 1.0) -> Exact:
     """Return source and flux of heat conduction with the temperature u (a formula in x, y, z and t)."""
     u = parse_vector(u, 1) if isinstance(u, str) else u
     if u.shape != ():
@@ -63,7 +63,7 @@ def heat(u: Formula | str, conductivity: float | Array | Formula = 1.0, capacity
     return Exact(u, gradient, from_array(source, f"source of {u.text}"), from_array(flux, f"flux of {u.text}"))
 
 
-def elasticity(u: Formula | str, stiffness: Array | Formula, thermal_strain: Formula | None = None) -> Exact:
+def elasticity(u: Formula | str, stiffness: Any, thermal_strain: Formula | None = None) -> Exact:
     """Return body force and stress with the displacement u (three formulas) and the strain (6,) of expansion."""
     u = parse_vector(u, 3) if isinstance(u, str) else u
     if u.shape != (3,):

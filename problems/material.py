@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import sympy
@@ -132,7 +132,7 @@ def number(value: object, name: str) -> float:
     return float(value)
 
 
-def symbolic(value: float | Array | Formula) -> sympy.Expr | NDArray[np.object_]:
+def symbolic(value: Any) -> sympy.Expr | NDArray[np.object_]:
     """Return a coefficient as SymPy expressions: one for a scalar, an object array otherwise."""
     if isinstance(value, Formula):
         return value.array() if value.shape else value.expressions[0]
@@ -162,7 +162,7 @@ class Checked:
         return value
 
 
-def checked(coefficient: Coefficient, name: str, size: int, domain: Domain) -> Coefficient:
+def checked(coefficient: Any, name: str, size: int, domain: Domain) -> Any:
     """Return the coefficient in the form that integrands take, with its positivity checked now or on evaluation.
 
     Parameters
@@ -230,7 +230,7 @@ def require_positive(value: Array, x: Array, name: str, constant: bool = False) 
             np.linalg.cholesky(value)
             return
         except np.linalg.LinAlgError:
-            lowest = np.linalg.eigvalsh(value)[..., 0]
+            lowest = np.asarray(np.linalg.eigvalsh(value)[..., 0], dtype=np.float64)
         what = "must be positive definite, its smallest eigenvalue"
     worst = int(np.argmin(lowest))
     where = "" if constant else " at ({:.6g}, {:.6g}, {:.6g})".format(*np.asarray(x).reshape(-1, 3)[worst])

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from iga import norms
 from iga.assembly import matrix, vector
 from iga.block import bezier_coefficients
 from iga.chunk import chunks
@@ -24,6 +23,8 @@ from iga.domain import Domain, max_degree
 from iga.errors import InputError
 from iga.integrands import Load, Mass
 from iga.locate import locate
+from iga.norms import Errors
+from iga.norms import errors as errors_of
 from iga.solvers import solve as solve_linear
 from problems.data import Sample
 from problems.formula import Formula
@@ -74,7 +75,7 @@ class Solution:
     quantities: Mapping[str, Quantity]
     log: Mapping[str, Any]
     reactions: Mapping[str, Any] = field(default_factory=dict)
-    norms: norms.Errors | None = None
+    norms: Errors | None = None
     times: Array | None = None
     history: Array | None = None
 
@@ -125,11 +126,11 @@ class Solution:
         exact: Formula | Callable[[Array], Array],
         gradient: Callable[[Array], Array] | None = None,
         points: int | None = None,
-    ) -> norms.Errors:
+    ) -> Errors:
         """Distance of the unknown to an exact solution; a formula's gradient need not be given."""
         if gradient is None and isinstance(exact, Formula):
             gradient = exact.gradient()
-        return norms.errors(self.domain, self.coefficients, exact, gradient, points)
+        return errors_of(self.domain, self.coefficients, exact, gradient, points)
 
     def compared(self, exact: Formula, points: int | None = None, t: float | None = None) -> Solution:
         """Return the solution with its norms: the distance to an exact formula (at time t, by default the last)."""

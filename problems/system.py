@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, eye_array, kron
-from scipy.sparse.linalg import LinearOperator, eigsh
+from scipy.sparse import csr_array
 
 from iga.assembly import matrix, vector
 from iga.conditions import dirichlet
 from iga.domain import Domain
-from iga.errors import InputError
+from iga.eigen import eigenpairs
 from iga.factorization import factorize
 from iga.integrands import Load, Mass
 from iga.solvers import solve
@@ -132,45 +131,18 @@ def stepper(
     return step
 
 
-def eigenpairs(
+def modes_of(
     domain: Domain, K: csr_array, M: csr_array, fixed: Index, count: int
 ) -> tuple[Array, Array, dict[str, Any]]:
-    """Lowest eigenvalues (count,) and vectors (n*c, count) of K v = lambda M v with fixed unknowns zero, v^T M v = 1.
-
-    Shift and invert with the Lanczos method: K + s M is factored, s a small positive shift that makes it definite where
-    K has motions without energy. Relative residuals |K v - lambda M v| / |(K + s M) v| are in the log.
-
-    Raises
-    ------
-    InputError
-        More eigenpairs are asked for than there are unknowns.
-    """
-    components = K.shape[0] // domain.space.n
-    T = None
-    if domain.space.constraint is not None:
-        T = csr_array(kron(domain.space.constraint, eye_array(components), format="csr"))
-        K, M = csr_array(T.T @ (K @ T)), csr_array(T.T @ (M @ T))
-    free = np.setdiff1d(np.arange(K.shape[0]), fixed)
-    if not 1 <= count < len(free):
-        raise InputError(f"{count} modes are asked for of {len(free)} unknowns")
-    inner, mass = csr_array(K[free][:, free]), csr_array(M[free][:, free])
-    shift = 1e-6 * float((inner.diagonal() / mass.diagonal()).min())
-    shifted = csr_array(inner + shift * mass)
-    factor = factorize(shifted, symmetric=True)
-    inverse = LinearOperator(inner.shape, matvec=factor, dtype=float)
-    start = np.random.default_rng(20187).standard_normal(len(free))
-    values, vectors = eigsh(inner, count, mass, sigma=-shift, OPinv=inverse, v0=start)
-    order = np.argsort(values)
-    values, vectors = values[order], vectors[:, order]
-    error = np.linalg.norm(inner @ vectors - (mass @ vectors) * values, axis=0)
-    residual = float((error / np.linalg.norm(shifted @ vectors, axis=0)).max())
-    shapes = np.zeros((K.shape[0], count))
-    shapes[free] = vectors
+    """Lowest eigenvalues (count,), vectors (n*c, count) of K v = lambda M v with fixed unknowns zero, and the log."""
+    found = eigenpairs(K, M, count, fixed, domain=domain)
     log = {
-        "functions": domain.space.n, "unknowns": len(free), "iterations": 1, "residual": residual, "solver": "direct",
-        "preconditioner": factor.name,
-    }  # fmt: skip
-    return values, shapes if T is None else T @ shapes, log
+        "functions": domain.space.n,
+        "unknowns": K.shape[0] - len(fixed),
+        "solver": found.solver,
+        "residual": float(found.residuals.max()),
+    }
+    return found.values, found.vectors, log
 
 
 @dataclass(frozen=True)

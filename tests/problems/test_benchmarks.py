@@ -11,7 +11,7 @@ from geometry.nurbs.source import build
 from iga.chunk import facet_chunks
 from iga.domain import Domain
 from iga.integrands import VOIGT
-from problems import benchmarks, elasticity
+from problems import benchmarks
 from problems.benchmarks import Benchmark
 from tests.problems.shapes import box, cylinder_sector, fichera, sphere_octant
 
@@ -142,12 +142,6 @@ def test_fichera_corner_converges_with_two_thirds() -> None:
 def test_stress_concentration_at_the_hole() -> None:
     case = benchmarks.plate_with_hole()
     solution = case.solve(build("plate_with_hole", size=2.0, degree=3, refine=2))
-    largest = max(
-        float(solution.quantity("stress").evaluate(chunk)[..., 0].max()) for chunk in facet_chunks(solution.domain, "hole")
-    )
+    stress = solution.quantity("stress")
+    largest = max(float(stress.evaluate(chunk)[..., 0].max()) for chunk in facet_chunks(solution.domain, "hole"))
     assert largest == pytest.approx(3.0, rel=0.02)
-    assert elasticity.von_mises(solution.quantity("stress").evaluate(chunk_of(solution.domain))).min() >= 0
-
-
-def chunk_of(domain: Domain):
-    return next(iter(facet_chunks(domain, "x1")))

@@ -186,5 +186,5 @@ def test_modes_of_a_box() -> None:
     assert log["residual"] < 1e-10
     insulated = heat.modes(Heat(), box((2, 2, 2), 3), 3)[0]
     np.testing.assert_allclose(insulated, [0.0, np.pi**2, np.pi**2], rtol=1e-3, atol=1e-9)
-    with pytest.raises(InputError, match="9 modes are asked for of 1 unknowns"):
+    with pytest.raises(InputError, match="9 eigenpairs of 1 free unknowns"):
         heat.modes(Heat(temperature={"*": 0.0}), box((2, 2, 2), 1), 9)
