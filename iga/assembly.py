@@ -151,7 +151,7 @@ def _compiled_matrix(domain: Domain, integrand: Integrand, points: int | None, c
     control = control_points(domain)
     length = np.diff(pattern.indptr)
     begin = c * c * pattern.indptr[:-1]
-    all_frames = frames(space, points, 8 if isinstance(integrand, Elasticity) else 1)
+    all_frames = frames(domain, points, 8 if isinstance(integrand, Elasticity) else 1)
     parts = [ranges(f.block.elements) for f in all_frames]
     begins, extra = [], 0
     for f, runs in zip(all_frames, parts):
@@ -209,7 +209,7 @@ def _compiled_vector(domain: Domain, integrand: Load, points: int | None) -> Arr
         return result
 
     total = np.zeros((domain.space.n, integrand.components))
-    for block, f in enumerate(frames(domain.space, points)):
+    for block, f in enumerate(frames(domain, points)):
         for result in run([partial(part, f, block, *bounds) for bounds in ranges(f.block.elements)]):
             total += result
     return total.reshape(-1)

@@ -218,18 +218,30 @@ class Chunk:
         return to_bezier(self.domain.space.blocks[self.block], local, self.elements)
 
 
-def default_points(basis: LocalBasis) -> tuple[int, ...]:
-    """Gauss points per reference direction where none are asked for: degree + 1."""
+def default_points(domain: Domain, block: int) -> tuple[int, ...]:
+    r"""Gauss points per reference direction where none are asked for.
+
+    Degree + 1, and more where that would not integrate ``cof J grad N`` exactly, so that linear fields pass the patch
+    test to round-off on every polynomial map of hexahedra, wedges and tetrahedra: on a hexahedron whose map has degree
+    g <= p in a direction, that integrand has degree 2g + p - 1 there. Rational maps and pyramids get degree + 1.
+    """
+    basis = domain.space.blocks[block].basis
     p, cell = basis.degree, basis.cell
+    if cell.name == "hexahedron":
+        degrees = p if domain.space.weights is not None or max(p) < 3 else domain.map_degrees[block]
+        extra = 0 if domain.space.weights is not None else 1
+        return tuple(max(q + 1, extra * (g + (q + 1) // 2)) for q, g in zip(p, degrees))
     if cell.name == "wedge":
-        return (p[0] + 1, p[0] + 1, p[1] + 1)
+        return (max(p[0] + 1, (3 * p[0]) // 2),) * 2 + (max(p[1] + 1, (3 * p[1] + 1) // 2),)
+    if cell.name == "tetrahedron":
+        return (max(p[0] + 1, (3 * p[0] - 1) // 2),) * 3
     return tuple(q + 1 for q in p) if len(p) == cell.dim else (p[0] + 1,) * cell.dim
 
 
-def rule_for(basis: LocalBasis, points: int | None, face: int = -1) -> Quadrature:
-    """Gauss rule of a block's cell, or of one of its faces, with ``points`` per direction (by default degree + 1)."""
-    cell = basis.cell
-    counts = (points,) * cell.dim if points is not None else default_points(basis)
+def rule_for(domain: Domain, block: int, points: int | None, face: int = -1) -> Quadrature:
+    """Gauss rule of a block's cell, or of one of its faces, with ``points`` per direction or `default_points`."""
+    cell = domain.space.blocks[block].basis.cell
+    counts = (points,) * cell.dim if points is not None else default_points(domain, block)
     if face < 0:
         return gauss(cell, counts)
     return gauss(cell.faces[face].cell, tuple(_along(cell, face, counts)))
@@ -248,12 +260,12 @@ def chunks(
 
     Parameters
     ----------
-    points : Gauss points per direction, by default degree + 1.
+    points : Gauss points per direction, by default `default_points`.
     size : elements per chunk.
     rules : a rule for each block, in place of Gauss rules.
     """
     for number, block in enumerate(domain.space.blocks):
-        rule = rules[number] if rules else rule_for(block.basis, points)
+        rule = rules[number] if rules else rule_for(domain, number, points)
         for start in range(0, block.elements, size):
             elements = np.arange(start, min(start + size, block.elements))
             yield Chunk(domain, number, elements, rule.points, rule.weights, rule)
@@ -275,7 +287,7 @@ def facet_chunks(
         facets = facets_of(domain, boundary)
     for f in facets:
         basis = domain.space.blocks[f.block].basis
-        rule = rule_for(basis, points, f.face)
+        rule = rule_for(domain, f.block, points, f.face)
         face = basis.cell.faces[f.face]
         inside = face.origin + rule.points @ face.axes.T
         for start in range(0, len(f.elements), size):

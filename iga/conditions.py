@@ -334,8 +334,7 @@ def _trace_constant(chunk: Chunk, physics: Diffusion | Elasticity, S: Array, poi
     Both forms vanish on the motions without energy, which are made orthonormal and added to a_E to make it definite.
     With A = L L^T and C = L^-1 B L^-T, lambda <= |C^4|_F^(1/4), at most 1.8 times too large for 100 functions on F.
     """
-    block = chunk.domain.space.blocks[chunk.block]
-    rule = rule_for(block.basis, points)
+    rule = rule_for(chunk.domain, chunk.block, points)
     inside = Chunk(chunk.domain, chunk.block, chunk.elements, rule.points, rule.weights, rule)
     A = physics(inside)
     e, q, t, m = S.shape
@@ -344,7 +343,7 @@ def _trace_constant(chunk: Chunk, physics: Diffusion | Elasticity, S: Array, poi
     if isinstance(physics, Diffusion):
         modes = np.ones((1, m, 1)) / np.sqrt(m)
     else:
-        points3 = chunk.domain.points[block.dofs[chunk.elements]]
+        points3 = chunk.domain.points[chunk.dofs]
         modes = np.linalg.qr(np.stack([rigid_motions(p) for p in points3]))[0]
     size = np.trace(A, axis1=1, axis2=2) / m
     A = A + size[:, None, None] * (modes @ modes.swapaxes(1, 2))

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from iga.block import Block, Kronecker, Patterns
+from iga.block import Block, Kronecker, Patterns, bezier_coefficients
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -100,6 +101,28 @@ class Domain:
             raise InputError(f"{self.space.n} functions need {self.space.n} control points, not {self.points.shape}")
         for name in ("boundaries", "attributes", "report"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    @cached_property
+    def map_degrees(self) -> tuple[tuple[int, ...], ...]:
+        """Degree of the map in each direction of each block, which may be less than that of its functions.
+
+        Found on hexahedra from vanishing differences of Bernstein coefficients; other cells give their own degree.
+        """
+        return tuple(_map_degree(block, self.points) for block in self.space.blocks)
+
+
+def _map_degree(block: Block, points: Array) -> tuple[int, ...]:
+    if block.basis.cell.name != "hexahedron":
+        return block.basis.degree
+    found = [1] * 3
+    scale = 1e-12 * float(np.abs(points).max(initial=0.0))
+    for start in range(0, block.elements, 4096):
+        control = bezier_coefficients(block, points, slice(start, start + 4096))
+        grid = control.reshape(len(control), *(p + 1 for p in block.basis.degree), 3)
+        for d, p in enumerate(block.basis.degree):
+            while found[d] < p and np.abs(np.diff(grid, n=found[d] + 1, axis=d + 1)).max(initial=0.0) > scale:
+                found[d] += 1
+    return tuple(found)
 
 
 def facets_of(domain: Domain, names: str | list[str] | tuple[str, ...]) -> tuple[Facets, ...]:

@@ -25,7 +25,7 @@ from iga.bernstein import Bernstein, bernstein
 from iga.block import Block, Kronecker, Patterns
 from iga.cells import HEXAHEDRON, LINE
 from iga.chunk import rule_for
-from iga.domain import Space
+from iga.domain import Domain
 from iga.kernels import local, tensor
 from iga.quadrature import Quadrature
 from iga.sparsity import Slots
@@ -180,9 +180,10 @@ class Frame:
         return self.ones[: hi - lo]
 
 
-def frames(space: Space, points: int | None = None, repeat: int = 1) -> list[Frame]:
-    """Frames of all blocks of a space at Gauss points, ``points`` per direction (by default degree + 1)."""
-    return [Frame(block, rule_for(block.basis, points), space.weights, repeat) for block in space.blocks]
+def frames(domain: Domain, points: int | None = None, repeat: int = 1) -> list[Frame]:
+    """Frames of all blocks of a domain at Gauss points, ``points`` per direction (`iga.chunk.default_points`)."""
+    weights = domain.space.weights
+    return [Frame(b, rule_for(domain, k, points), weights, repeat) for k, b in enumerate(domain.space.blocks)]
 
 
 

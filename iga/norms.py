@@ -59,7 +59,7 @@ def errors(
     points = points or max_degree(domain) + 3
     sums = np.zeros(4)
     if domain.space.blocks and all(block.basis.cell.dim == 3 for block in domain.space.blocks):
-        for number, f in enumerate(frames(domain.space, points)):
+        for number, f in enumerate(frames(domain, points)):
             one = partial(_block_errors, domain, f, number, coefficients, exact, gradient)
             sums += sum(run([partial(one, *part) for part in ranges(f.block.elements)]))
         return _roots(sums, gradient)

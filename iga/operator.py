@@ -125,7 +125,7 @@ def operator(
         raise InputError("matrix-free operators exist for diffusion, elasticity and mass; assemble other integrands")
     control = control_points(domain)
     parts = []
-    for number, f in enumerate(frames(domain.space, points, PRODUCTS * c)):
+    for number, f in enumerate(frames(domain, points, PRODUCTS * c)):
         kind, numbers = _kind(integrand, f)
         D = np.empty((f.block.elements, numbers, f.q))
         fill = partial(_fill, domain, integrand, f, number, kind, control, D)
@@ -227,7 +227,7 @@ def diagonal(domain: Domain, integrand: Integrand, points: int | None = None) ->
         return result
 
     total = np.zeros((domain.space.n, c))
-    for number, f in enumerate(frames(domain.space, points)):
+    for number, f in enumerate(frames(domain, points)):
         for found in run([partial(some, f, number, *part) for part in ranges(f.block.elements)]):
             total += found
     return total.reshape(-1)

@@ -141,8 +141,9 @@ def _solve(problem: str, domain: Domain, mode: str) -> tuple[Array, int, int, fl
     integrand: Diffusion | Elasticity = Diffusion() if problem == "heat" else Elasticity(isotropic(LAME, SHEAR))
     load = Load(heat_source) if problem == "heat" else Load(body_force, components=3)
     c = integrand.components
-    K: Any = matrix(domain, integrand) if mode == "assembled" else operator(domain, integrand)
-    f = vector(domain, load)
+    points = max(domain.space.blocks[0].basis.degree) + 1
+    K: Any = matrix(domain, integrand, points) if mode == "assembled" else operator(domain, integrand, points)
+    f = vector(domain, load, points)
     inside = np.ones((domain.space.n, c), dtype=bool)
     inside[trace_functions(domain, all_facets(domain))] = False
     free = np.flatnonzero(inside)
