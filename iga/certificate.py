@@ -15,7 +15,7 @@ absolute value to at most perm(A). If factors are wrong by at most D_f,c, and n 
 
 (Higham, Accuracy and Stability of Numerical Algorithms, 3.1). Each bisection adds gamma_q max |coefficient| with q the
 degree, halvings being means. Values within the bound of zero decide nothing: an element that is degenerate by
-construction, where det J touches zero, comes out undecided with a lower bound of about minus the rounding bound.
+construction, where det J touches zero, has verdict 0 with bounds of about the rounding bound, and is counted apart.
 
 det J is taken with respect to the reference coordinates of the element in [0, 1], also on knot spans of splines.
 Axis letters: e element, b Bernstein function, k coefficient of det J, c component, v vertex, d reference dimension.
@@ -74,7 +74,7 @@ class Certificate:
     lower, upper : (e,) the minimum of det J lies between them.
     offsets : (blocks + 1,) elements of block i are offsets[i]:offsets[i + 1].
     witnesses : where refuted elements fail.
-    degenerate : (e,) undecided because the minimum is zero to within rounding: det J >= 0, touching zero. A hexahedron
+    degenerate : (e,) verdict 0 because the minimum is zero to within rounding: det J >= 0, touching zero. A hexahedron
         with a collapsed face, or with two edges in line at a vertex.
     """
 
@@ -125,14 +125,15 @@ def certify(domain: Domain, tolerance: float = 0.1, max_depth: int = 8, budget: 
 def summary(certificate: Certificate) -> dict[str, int | float | None]:
     """Counts of verdicts, and the enclosure of the smallest determinant of the domain (None if it has no elements).
 
-    ``degenerate`` counts those of the undecided whose minimum is zero to within rounding.
+    Every element is in one of four counts. ``degenerate`` are those whose minimum is zero to within rounding, proved
+    from both sides: neither valid nor folded, such as a hexahedron with a collapsed face or a doubled control point.
     """
     verdict = certificate.verdict
     some = len(verdict) > 0
     return {
         "certified": int((verdict > 0).sum()),
         "refuted": int((verdict < 0).sum()),
-        "undecided": int((verdict == 0).sum()),
+        "undecided": int(((verdict == 0) & ~certificate.degenerate).sum()),
         "degenerate": int(certificate.degenerate.sum()),
         "min_det_lower": float(certificate.lower.min()) if some else None,
         "min_det_upper": float(certificate.upper.min()) if some else None,
