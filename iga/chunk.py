@@ -45,6 +45,7 @@ class Chunk:
     points, weights : (q, d) reference points in the cell and (q,) weights, of the facet for facets.
     rule : the rule that points and weights came from, on the cell or on the facet's own reference cell.
     face : local face number, or -1 inside.
+    tabulated : Bernstein values and gradients at the points, if they are known already.
     """
 
     domain: Domain
@@ -54,6 +55,7 @@ class Chunk:
     weights: Array
     rule: Quadrature | None = None
     face: int = -1
+    tabulated: tuple[Array, Array] | None = None
 
     @property
     def basis(self) -> LocalBasis:
@@ -73,8 +75,7 @@ class Chunk:
     @cached_property
     def table(self) -> tuple[Array, Array]:
         """Bernstein values (q, b) and gradients (q, b, d)."""
-        values, gradients = self.basis.tabulate(self.points, 1)
-        return values, gradients
+        return self.tabulated or _tabulate(self.basis, self.points)
 
     @cached_property
     def control(self) -> Array:
@@ -253,6 +254,11 @@ def _along(cell: Cell, face: int, counts: tuple[int, ...]) -> Iterator[int]:
         yield max(count for count, step in zip(counts, axis) if step)
 
 
+def _tabulate(basis: LocalBasis, points: Array) -> tuple[Array, Array]:
+    values, gradients = basis.tabulate(points, 1)
+    return values, gradients
+
+
 def chunks(
     domain: Domain, points: int | None = None, size: int = SIZE, rules: tuple[Quadrature, ...] | None = None
 ) -> Iterator[Chunk]:
@@ -266,9 +272,10 @@ def chunks(
     """
     for number, block in enumerate(domain.space.blocks):
         rule = rules[number] if rules else rule_for(domain, number, points)
+        table = _tabulate(block.basis, rule.points)
         for start in range(0, block.elements, size):
             elements = np.arange(start, min(start + size, block.elements))
-            yield Chunk(domain, number, elements, rule.points, rule.weights, rule)
+            yield Chunk(domain, number, elements, rule.points, rule.weights, rule, tabulated=table)
 
 
 def facet_chunks(
@@ -290,5 +297,6 @@ def facet_chunks(
         rule = rule_for(domain, f.block, points, f.face)
         face = basis.cell.faces[f.face]
         inside = face.origin + rule.points @ face.axes.T
+        table = _tabulate(basis, inside)
         for start in range(0, len(f.elements), size):
-            yield Chunk(domain, f.block, f.elements[start : start + size], inside, rule.weights, rule, f.face)
+            yield Chunk(domain, f.block, f.elements[start : start + size], inside, rule.weights, rule, f.face, table)

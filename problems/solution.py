@@ -114,12 +114,19 @@ class Solution:
 
     def extrema(self, name: str, points: int | None = None) -> tuple[float, float]:
         """Smallest and largest value at the quadrature points; of the length, for vectors and tensors."""
-        low, high = np.inf, -np.inf
-        for _, _, value in self.samples(name, points):
-            if self.quantity(name).shape:
-                value = np.linalg.norm(value.reshape(*value.shape[:2], -1), axis=-1)
-            low, high = min(low, float(value.min())), max(high, float(value.max()))
-        return low, high
+        return self._extrema([name], points)[name]
+
+    def _extrema(self, names: list[str], points: int | None = None) -> dict[str, tuple[float, float]]:
+        """Extrema of several quantities in one walk."""
+        bounds = dict.fromkeys(names, (np.inf, -np.inf))
+        for chunk in chunks(self.domain, points):
+            for name, (low, high) in bounds.items():
+                quantity = self.quantity(name)
+                value = quantity.evaluate(chunk)
+                if quantity.shape:
+                    value = np.linalg.norm(value.reshape(*value.shape[:2], -1), axis=-1)
+                bounds[name] = min(low, float(value.min())), max(high, float(value.max()))
+        return bounds
 
     def errors(
         self,
@@ -150,9 +157,7 @@ class Solution:
         gradient. ``extrema`` are over the quadrature points: of values, and of lengths for vectors.
         """
         e = self.norms
-        seen = {
-            name: self.extrema(name) for name in ("temperature", "displacement", "von_mises") if name in self.quantities
-        }
+        shown = [name for name in ("temperature", "displacement", "von_mises") if name in self.quantities]
         return {
             "problem": self.problem,
             **{
@@ -164,7 +169,7 @@ class Solution:
             "relative_l2_error": e.relative_l2 if e else None,
             "relative_h1_error": e.relative_h1 if e else None,
             "energy": self.log.get("energy"),
-            "extrema": {name: list(bounds) for name, bounds in seen.items()},
+            "extrema": {name: list(bounds) for name, bounds in self._extrema(shown).items()},
             **{
                 name: self.log[name]
                 for name in ("solver", "preconditioner", "scheme", "steps", "eigenvalues")
