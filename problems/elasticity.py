@@ -74,7 +74,7 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
     Parameters
     ----------
     solver : "auto", "direct" or "cg"
-    points : Gauss points per direction, by default degree + 1
+    points : Gauss points per direction, by default those of `iga.chunk.default_points`
 
     Raises
     ------

@@ -71,7 +71,7 @@ def solve(problem: Heat, domain: Domain, solver: str = "auto", points: int | Non
     Parameters
     ----------
     solver : "auto", "direct" or "cg"
-    points : Gauss points per direction, by default degree + 1
+    points : Gauss points per direction, by default those of `iga.chunk.default_points`
 
     Raises
     ------

@@ -101,7 +101,7 @@ def solve_exact(
     physics : "heat" or "elasticity"
     expression : a formula in x, y, z, or three separated by ``;`` for elasticity
     solver : "auto", "direct" or "cg"
-    points : Gauss points per direction, by default degree + 1
+    points : Gauss points per direction, by default those of `iga.chunk.default_points`
     material : conductivity (1 by default) or stiffness (6, 6) (E = 1, nu = 0.3 by default)
 
     Returns
