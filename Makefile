@@ -11,7 +11,7 @@ demo: $(STAMP)
 	$(BIN)/iga demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -m "not long"
+	$(BIN)/python -m pytest -n auto -m "not long"
 
 test-long: $(STAMP)
 	$(BIN)/python -m pytest -m long
