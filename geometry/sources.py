@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from iga.domain import Domain
 from iga.errors import InputError
+from iga.refinement import refine as refine_bernstein
 
 BUILT_IN = ("nurbs", "tets", "catmull_clark", "meccano", "hybrid")
 GROUP = "iga.geometry_sources"
@@ -89,7 +90,7 @@ def build(path: str | Path, source: str | None = None, **parameters: Any) -> Dom
 
 
 def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
-    """Refine a domain by the source it came from.
+    """Refine a domain by the source it came from; one made by hand is refined if it is a C0 Bernstein domain.
 
     Parameters
     ----------
@@ -102,6 +103,8 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
     """
     known = sources()
     name = domain.provenance.source
+    if not name:
+        return refine_bernstein(domain, levels, elevate)
     if name not in known:
         raise InputError(f"the domain was built by source {name!r}, which is not here; there are: {', '.join(known)}")
     return known[name].refine(domain, levels, elevate)

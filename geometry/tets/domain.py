@@ -15,6 +15,7 @@ Axis letters: e element, n function, b Bernstein function, f facet, c component.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -83,7 +84,7 @@ def domain_of(
     space = space_of(cells, vertices, target, convert)
     points = points_of(space, coefficients, convert == "hex4")
     _check_gap(space, points, coefficients, convert == "hex4")
-    provenance = Provenance(SOURCE, source, parameters, {"vertices": vertices})
+    provenance = Provenance(SOURCE, source, parameters)
     return Domain(space, points, facets_from(boundaries, convert), provenance=provenance, report=report)
 
 
@@ -112,11 +113,28 @@ def conversion_residual(coefficients: Array, degree: int, convert: str, seed: in
 def space_of(cell: Cell, vertices: Index, degree: int, convert: str) -> Space:
     """C0 Bernstein space on the mesh; degenerate hexahedra carry the functions of their tetrahedra."""
     (dofs,), n = number(Complex(((cell, vertices),)), degree)
-    if convert == "hex1":
-        C = np.ascontiguousarray(degenerate_matrix(degree).T)[None]
-        patterns = Patterns(C, np.zeros(len(dofs), dtype=np.int64))
-        return Space((Block(bernstein(HEXAHEDRON, degree), dofs, patterns),), n)
-    return Space((Block(bernstein(cell, degree), dofs),), n)
+    return Space((_degenerate(dofs, degree) if convert == "hex1" else Block(bernstein(cell, degree), dofs),), n)
+
+
+def _degenerate(dofs: Index, degree: int) -> Block:
+    C = np.ascontiguousarray(degenerate_matrix(degree).T)[None]
+    return Block(bernstein(HEXAHEDRON, degree), dofs, Patterns(C, np.zeros(len(dofs), dtype=np.int64)))
+
+
+def as_tets(domain: Domain) -> Domain:
+    """Return the tetrahedra that a domain of degenerate hexahedra was made from."""
+    block = domain.space.blocks[0]
+    own = Block(bernstein(TETRAHEDRON, block.basis.degree[0]), block.dofs)
+    boundaries = {key: pairs_from(facets, "hex1") for key, facets in domain.boundaries.items()}
+    return replace(domain, space=Space((own,), domain.space.n), boundaries=facets_from(boundaries, "none"))
+
+
+def as_degenerate_hexes(domain: Domain) -> Domain:
+    """Return a domain of tetrahedra as degenerate hexahedra."""
+    block = domain.space.blocks[0]
+    own = _degenerate(block.dofs, block.basis.degree[0])
+    boundaries = {key: pairs_from(facets, "none") for key, facets in domain.boundaries.items()}
+    return replace(domain, space=Space((own,), domain.space.n), boundaries=facets_from(boundaries, "hex1"))
 
 
 def _local(coefficients: Array, elements: int, to_hexes: bool) -> Iterator[tuple[slice, Array]]:

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from geometry.tets.mesh import FACES, TetMesh, checked_mesh
 from geometry.tets.reader import nodes_to_bernstein
-from geometry.tets.subdivision import refine_tets, refine_vertices
 from iga.bernstein import bernstein, elevation, greville
 from iga.cells import TETRAHEDRON
+from iga.conforming import Complex
 from iga.errors import InputError
+from iga.refinement import refine_coefficients, refine_complex
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -60,7 +61,8 @@ def ball(levels: int = 1, degree: int = 2) -> TetMesh:
     vertices[mirrored] = vertices[mirrored][:, [0, 1, 3, 2]]
     coefficients = axes[vertices]
     for _ in range(levels):
-        coefficients, vertices = refine_tets(coefficients), refine_vertices(TETRAHEDRON, vertices)
+        coefficients = refine_coefficients(bernstein(TETRAHEDRON, 1), coefficients)
+        ((_, vertices),) = refine_complex(Complex(((TETRAHEDRON, vertices),))).parts
     corners = coefficients[:, FACES].reshape(-1, 3, 3)
     outside = (np.abs(np.abs(corners).sum(axis=2) - 1) < 1e-12).all(axis=1)
     groups = {"sphere": vertices[:, FACES].reshape(-1, 3)[outside]}

@@ -1,8 +1,7 @@
 r"""The geometry source "tets": meshes of linear and curved tetrahedra as Bezier tetrahedra or hexahedra.
 
 Refinement is exact and nested: tetrahedra by Bey's red refinement, the hexahedra of "hex4" by de Casteljau, "hex1" by
-refining its tetrahedra. The domain keeps what that needs: its connectivity in `Provenance.arrays`, the coefficients in
-its own control points.
+refining its tetrahedra (`iga.refinement`).
 
 Axis letters: e element, n function, c component.
 """
@@ -17,14 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.tets.domain import SOURCE, check_convert, domain_of, facets_from, pairs_from, points_of, raised, space_of
+from geometry.tets.domain import SOURCE, as_degenerate_hexes, as_tets, check_convert, domain_of
 from geometry.tets.mesh import TetMesh
 from geometry.tets.reader import SURFACES, extensions, read_tets
 from geometry.tets.shapes import ball, cube
-from geometry.tets.subdivision import refine_facets, refine_hexes, refine_tets, refine_vertices
-from iga.cells import HEXAHEDRON, TETRAHEDRON
-from iga.domain import Domain, Provenance
+from iga.domain import Domain
 from iga.errors import InputError
+from iga.refinement import refine as refine_bernstein
 
 Array = NDArray[np.float64]
 
@@ -92,47 +90,19 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
     ------
     InputError : the domain is of another source, or a number is negative.
     """
-    if domain.provenance.source != name or "vertices" not in domain.provenance.arrays:
+    if domain.provenance.source != name:
         raise InputError(f"this domain comes from {domain.provenance.source or 'no source'!r}, not from tets")
-    if levels < 0 or elevate < 0:
-        raise InputError(f"levels {levels} and elevate {elevate} must not be negative")
     convert = str(domain.provenance.parameters.get("convert", "none"))
-    cell = HEXAHEDRON if convert == "hex4" else TETRAHEDRON
-    block = domain.space.blocks[0]
-    degree = block.basis.degree[0]
-    # Attributes are fields in the same space and refine with the control points.
-    columns = [domain.points, *(_columns(values) for values in domain.attributes.values())]
-    coefficients = np.concatenate(columns, axis=1)[block.dofs]
-    vertices = np.asarray(domain.provenance.arrays["vertices"], dtype=np.int64)
-    if vertices.shape != (block.elements, len(cell.vertices)):
-        raise InputError(f"the domain's connectivity {vertices.shape} does not fit its {block.elements} elements")
-    boundaries = {key: pairs_from(facets, convert) for key, facets in domain.boundaries.items()}
-    for _ in range(levels):
-        coefficients = refine_hexes(coefficients) if cell is HEXAHEDRON else refine_tets(coefficients)
-        vertices = refine_vertices(cell, vertices)
-        boundaries = {key: refine_facets(cell, facets) for key, facets in boundaries.items()}
-    coefficients = raised(cell, degree, degree + elevate, coefficients)
-    space = space_of(cell, vertices, degree + elevate, convert)
-    fields = points_of(space, coefficients)
-    parameters = {**domain.provenance.parameters, "degree": degree + elevate}
-    parameters["levels"] = int(parameters.get("levels", 0)) + levels
-    attributes, at = {}, 3
-    for key, values in domain.attributes.items():
-        width = _columns(values).shape[1]
-        attributes[key] = fields[:, at : at + width].reshape(-1, *values.shape[1:])
-        at += width
-    return replace(
-        domain,
-        space=space,
-        points=np.ascontiguousarray(fields[:, :3]),
-        boundaries=facets_from(boundaries, convert),
-        attributes=attributes,
-        provenance=Provenance(name, domain.provenance.input, parameters, {"vertices": vertices}),
-    )
-
-
-def _columns(values: Array) -> Array:
-    return values.reshape(len(values), -1)
+    fine = refine_bernstein(as_tets(domain) if convert == "hex1" else domain, levels, elevate)
+    if convert == "hex1":
+        fine = as_degenerate_hexes(fine)
+    parameters = {
+        **domain.provenance.parameters,
+        "degree": fine.space.blocks[0].basis.degree[0],
+        "levels": int(domain.provenance.parameters.get("levels", 0)) + levels,
+    }
+    report = {key: value for key, value in domain.report.items() if key != "quality"}
+    return replace(fine, provenance=replace(domain.provenance, parameters=parameters), report=report)
 
 
 def _whole(value: Any, key: str) -> int:

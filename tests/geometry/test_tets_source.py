@@ -10,21 +10,21 @@ from geometry.tets.domain import domain_of
 from geometry.tets.mesh import TetMesh
 from geometry.tets.shapes import ball, cube, mapped
 from geometry.tets.source import build, reads, refine
-from geometry.tets.subdivision import (
-    blossom_matrix,
-    face_children,
-    hex_children,
-    line_subdivision,
-    refine_tets,
-    tet_children,
-    tet_subdivision,
-)
 from iga.bernstein import bernstein, face_functions
 from iga.block import bezier_coefficients
 from iga.cells import HEXAHEDRON, TETRAHEDRON
 from iga.domain import Domain, check
 from iga.errors import InputError
 from iga.quadrature import gauss
+from iga.refinement import (
+    blossom_matrix,
+    children,
+    face_children,
+    line_subdivision,
+    refine_coefficients,
+    simplex_children,
+    subdivision,
+)
 
 CONVERSIONS = ["none", "hex4", "hex1"]
 
@@ -138,32 +138,21 @@ def test_refinement_changes_nothing_but_the_space(convert):
     assert np.allclose(np.sort(again.points, axis=0), np.sort(refine(domain, 2, 1).points, axis=0), atol=1e-14)
 
 
-def test_refined_tets_are_pieces_of_their_parents():
-    T = np.random.default_rng(47).standard_normal((3, 35, 3))
-    children = refine_tets(T).reshape(3, 8, 35, 3)
-    points = np.random.default_rng(53).dirichlet([1, 1, 1, 1], 40)
-    basis = bernstein(TETRAHEDRON, 4)
-    values = basis.tabulate(points[:, 1:], 0)[0]
-    for k, corners in enumerate(tet_children()):
-        exact = basis.tabulate((points @ corners)[:, 1:], 0)[0]
-        assert np.abs(values @ children[:, k] - exact @ T).max() < 1e-14
-
-
 def test_subdivision_matrices_are_convex_and_dyadic():
     for n in range(1, 7):
-        for matrix in tet_subdivision(n):
+        for matrix in subdivision(bernstein(TETRAHEDRON, n)):
             assert matrix.min() >= 0
             assert np.array_equal(matrix.sum(axis=1), np.ones(len(matrix)))
             assert np.array_equal(matrix * 2.0**n, np.rint(matrix * 2.0**n))
         for matrix in line_subdivision(n):
             assert np.array_equal(matrix.sum(axis=1), np.ones(n + 1))
-    identity = blossom_matrix(3, tuple(map(tuple, np.eye(4).tolist())))
+    identity = blossom_matrix(TETRAHEDRON, 3, tuple(map(tuple, np.eye(4).tolist())))
     assert np.array_equal(identity, np.eye(20))
 
 
 def test_children_fill_their_parent():
-    assert np.allclose(np.linalg.det(tet_children()), 1 / 8)
-    assert hex_children().min() == 0
+    assert np.allclose(np.linalg.det(simplex_children(TETRAHEDRON)), 1 / 8)
+    assert children(HEXAHEDRON).min() == 0
     for cell in (TETRAHEDRON, HEXAHEDRON):
         table = face_children(cell)
         assert table.shape == (len(cell.faces), 4, 2)
@@ -187,7 +176,7 @@ def test_red_refinement_makes_at_most_three_shapes(seed):
         tet = tet[:, [0, 3, 2, 1]]
     shapes = []
     for _ in range(4):
-        tet = refine_tets(tet)
+        tet = refine_coefficients(bernstein(TETRAHEDRON, 1), tet)
         shapes.append(shape(tet))
     assert len(np.unique(np.round(np.concatenate(shapes), 9), axis=0)) <= 3
 
