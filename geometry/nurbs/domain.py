@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.nurbs.knots import distinct, extraction
-from geometry.nurbs.multipatch import Multipatch, number, parts
+from geometry.nurbs.multipatch import Multipatch, face_name, number, parts
 from geometry.nurbs.patch import FACES, Patch
 from iga.bernstein import bernstein
 from iga.block import Block, Kronecker
@@ -67,12 +67,12 @@ def build_domain(multipatch: Multipatch, source: str, parameters: Mapping[str, A
         blocks.append(_block(degree, [patches[i] for i in members], [nets[i] for i in members]))
     report = {
         "patches": len(patches),
-        "patch_degrees": [list(p.degree) for p in patches],
-        "patch_elements": [list(p.elements) for p in patches],
+        "degrees": [list(degree) for degree in groups],
         "interfaces": len(multipatch.interfaces),
         "parts": parts(multipatch),
         "rational": weights is not None,
         "turned_round": list(multipatch.turned),
+        "collapsed_faces": [face_name(p, f) for p, f in multipatch.collapsed],
         "largest_gap": multipatch.gap,
     }
     return Domain(
@@ -119,6 +119,7 @@ def _block(degree: tuple[int, ...], patches: list[Patch], nets: list[Index]) -> 
 def _boundaries(multipatch: Multipatch, place: dict[int, tuple[int, int]]) -> dict[str, tuple[Facets, ...]]:
     """Facets by name: those with names of their own, and all other free faces by patch and face."""
     inner = {(int(p), int(f)) for row in multipatch.interfaces for p, f in (row[:2], row[2:4])}
+    inner |= set(multipatch.collapsed)
     rows = list(multipatch.names)
     named = {(p, f) for _, p, f in rows}
     single = len(multipatch.patches) == 1
@@ -151,6 +152,7 @@ def to_arrays(multipatch: Multipatch) -> dict[str, NDArray[Any]]:
         "control": np.concatenate([p.control.reshape(-1, 3) for p in patches]),
         "interfaces": multipatch.interfaces,
         "turned": np.array(multipatch.turned, dtype=np.int64),
+        "collapsed": np.array(multipatch.collapsed, dtype=np.int64).reshape(-1, 2),
         "names": np.array([name for name, _, _ in multipatch.names], dtype=np.str_),
         "named_faces": np.array([row[1:] for row in multipatch.names], dtype=np.int64).reshape(-1, 2),
     }
@@ -178,6 +180,7 @@ def from_arrays(arrays: Mapping[str, NDArray[Any]], gap: float = 0.0) -> Multipa
             for i, (s, net, w) in enumerate(zip(shape.tolist(), nets, weights))
         )
         names = tuple((str(n), int(p), int(f)) for n, (p, f) in zip(arrays["names"], arrays["named_faces"]))
-        return Multipatch(patches, arrays["interfaces"], names, tuple(arrays["turned"].tolist()), gap)
+        collapsed = tuple((int(p), int(f)) for p, f in arrays["collapsed"])
+        return Multipatch(patches, arrays["interfaces"], names, tuple(arrays["turned"].tolist()), collapsed, gap)
     except (KeyError, ValueError) as error:
         raise InputError(f"the domain does not hold the patches it was built from ({error})") from None

@@ -59,6 +59,7 @@ class Multipatch:
     interfaces : (i, 7) rows as in the module docstring.
     names : (boundary name, patch, face) of every face that is on the boundary and has a name of its own.
     turned : patches that were left-handed and had their last direction reversed.
+    collapsed : (patch, face) of faces that have shrunk to a curve or point: neither interface nor boundary.
     gap : largest distance between control points that were glued.
     """
 
@@ -66,6 +67,7 @@ class Multipatch:
     interfaces: Index
     names: tuple[Name, ...] = ()
     turned: tuple[int, ...] = ()
+    collapsed: tuple[tuple[int, int], ...] = ()
     gap: float = 0.0
 
 
@@ -109,13 +111,16 @@ def glue(patches: Iterable[Patch], names: Iterable[Name] = (), tolerance: float 
     named = [(name, p, f ^ 1 if p in set(turned) and f >= 4 else f) for name, p, f in names]
     points = np.concatenate([p.control.reshape(-1, 3) for p in made])
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    interfaces = find_interfaces(made, tolerance * size, where)
+    faces = [face_of(p, f) for p in made for f in range(6)]
+    whole = np.array([not _collapsed(face, tolerance * size) for face in faces])
+    interfaces = find_interfaces(faces, whole, tolerance * size, where)
     _refuse_same_side(interfaces, where)
     made = conform(made, interfaces)
     made = match_weights(made, interfaces, where)
-    inner = {(int(a), int(f)) for row in interfaces for a, f in (row[:2], row[2:4])}
+    collapsed = tuple(divmod(x, 6) for x in np.flatnonzero(~whole).tolist())
+    inner = {(int(a), int(f)) for row in interfaces for a, f in (row[:2], row[2:4])} | set(collapsed)
     kept = tuple((name, p, f) for name, p, f in named if (p, f) not in inner)
-    result = Multipatch(tuple(made), interfaces, kept, tuple(turned))
+    result = Multipatch(tuple(made), interfaces, kept, tuple(turned), collapsed)
     return replace(result, gap=_gap(result))
 
 
@@ -124,22 +129,22 @@ def face_name(patch: int, face: int) -> str:
     return f"patch {patch} face {FACES[face]}"
 
 
-def find_interfaces(patches: list[Patch], tolerance: float, where: str) -> Index:
+def find_interfaces(faces: list[Patch], whole: NDArray[np.bool_], tolerance: float, where: str) -> Index:
     """Pairs of coincident faces, (i, 7).
 
     Parameters
     ----------
+    faces : six of each patch.
+    whole : for each face whether it has an area.
     tolerance : absolute distance.
     """
-    faces = [face_of(p, f) for p in patches for f in range(6)]
     corners = np.array([f.control[::len(f.control) - 1, ::f.control.shape[1] - 1] for f in faces])  # (f, 2, 2, 3)
     pairs = cKDTree(corners.reshape(-1, 3)).query_pairs(tolerance, output_type="ndarray")
     k = len(faces) * 4
     graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(k, k))
     vertex = connected_components(graph, directed=False)[1].reshape(-1, 2, 2)
-    collapsed = np.array([_collapsed(f, tolerance) for f in faces])
     groups: dict[tuple[int, ...], list[int]] = {}
-    for number in np.flatnonzero(~collapsed).tolist():
+    for number in np.flatnonzero(whole).tolist():
         groups.setdefault(tuple(sorted(vertex[number].ravel().tolist())), []).append(number)
     rows: list[tuple[int, ...]] = []
     partner: dict[int, int] = {}
@@ -156,7 +161,7 @@ def find_interfaces(patches: list[Patch], tolerance: float, where: str) -> Index
                         raise InputError(f"{where}: {said} coincide; at most two patches can meet in a face")
                     partner[one] = other
                 rows.append((*divmod(a, 6), *divmod(b, 6), *symmetry))
-    free = [x for x in np.flatnonzero(~collapsed).tolist() if x not in partner]
+    free = [x for x in np.flatnonzero(whole).tolist() if x not in partner]
     _refuse_overlaps(faces, free, tolerance, where)
     return np.array(rows, dtype=np.int64).reshape(-1, 7)
 

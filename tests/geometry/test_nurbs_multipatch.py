@@ -180,3 +180,18 @@ def test_another_parametrisation_of_the_same_face_is_refused() -> None:
     moved[0, 1, :, 1] += 0.1
     with pytest.raises(InputError, match="patch 0 face x1 and patch 1 face x0 are one surface"):
         glue([one, Patch(two.knots, moved)])
+
+
+def test_collapsed_faces_are_no_boundary() -> None:
+    """A solid cylinder of one patch whose inner face is its axis."""
+    ring = thick_ring(angle=90).patches[0]
+    control = ring.control.copy()
+    control[0, ..., :2] = 0
+    made = glue([Patch(ring.knots, control, ring.weights)])
+    assert made.collapsed == ((0, 0),)
+    domain = build_domain(made, "wedge", {})
+    check(domain)
+    assert domain.report["collapsed_faces"] == ["patch 0 face x0"]
+    assert list(domain.boundaries) == ["x1", "y0", "y1", "z0", "z1"]
+    assert volume(domain, 8) == pytest.approx(np.pi, rel=1e-6)
+    assert from_arrays(to_arrays(made)).collapsed == made.collapsed
