@@ -227,7 +227,7 @@ def _visible(domain: Domain, plane: Plane | None) -> list[tuple[int, Facets]]:
             continue
         centre = Samples(domain, number, np.arange(block.elements), block.basis.cell.centre[None]).x[:, 0]
         keep.append(plane.height(centre) <= 0.0)
-    return [*_named(domain, keep), *((-1, f) for f in _exposed(domain, keep))]
+    return [*_named(domain, keep), *((-1, f) for f in exposed(domain, keep))]
 
 
 def _named(domain: Domain, keep: list[NDArray[np.bool_]] | None) -> list[tuple[int, Facets]]:
@@ -246,8 +246,14 @@ def _named(domain: Domain, keep: list[NDArray[np.bool_]] | None) -> list[tuple[i
     return found
 
 
-def _exposed(domain: Domain, keep: list[NDArray[np.bool_]]) -> list[Facets]:
-    """Facets of kept elements that no other kept element shares and no boundary names, matched by their centres."""
+def exposed(domain: Domain, keep: list[NDArray[np.bool_]] | None = None) -> list[Facets]:
+    """Facets of kept elements that no other kept element shares and no boundary names, matched by their centres.
+
+    Parameters
+    ----------
+    keep : for each block (e,) which elements are there; all by default.
+    """
+    keep = [np.ones(block.elements, dtype=bool) for block in domain.space.blocks] if keep is None else keep
     from scipy.spatial import cKDTree
 
     kinds = [
