@@ -1,4 +1,4 @@
-"""Reports: one HTML page with tables, observed rates and pictures, complete in one file and readable offline.
+"""Reports: runs on the terminal, and one HTML page with tables, rates and pictures, complete in one file.
 
 Pictures are embedded, styles are in the page, nothing is loaded from elsewhere; the page follows the reader's choice of
 light or dark.
@@ -11,10 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from iga.errors import InputError
 from iga.files import write_text
-from studies.table import Column, Table, Value, formatted
+from studies.table import Column, Table, Value, formatted, render, render_rates
+
+if TYPE_CHECKING:
+    from studies.study import Run
 
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".jpg": "image/jpeg"}
 
@@ -72,6 +76,24 @@ class Section:
     table: Table | None = None
     pictures: tuple[Picture, ...] = ()
     note: str = ""
+
+
+def print_run(run: Run) -> None:
+    """Print what a study found to standard output: table, rates, what they say, and the files written."""
+    from rich.console import Console
+
+    # A pipe has no width: take enough for any table, so that no column is cut.
+    console = Console(highlight=False, soft_wrap=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=200)
+    console.print(render(run.result.table, f"{run.name} ({run.seconds:.1f} s)"))
+    rates = render_rates(run.result.table)
+    if rates is not None:
+        console.print(rates)
+    if run.result.summary:
+        console.print(run.result.summary, markup=False)
+    for path in run.files:
+        console.print(str(path), style="dim", markup=False)
 
 
 def write_report(path: str | Path, title: str, lead: str, sections: Sequence[Section]) -> Path:

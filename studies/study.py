@@ -1,9 +1,9 @@
 """Studies: a module with ``NAME``, ``COLUMNS``, ``SLOPES`` and ``run(size, progress) -> Result``, run and held fast.
 
-`STUDIES` lists the modules. `run_study` writes what a study finds, `check_study` runs it at the size meant for
+`STUDIES` names the studies and their modules. `run_study` writes what a study finds, `check_study` runs it at the size meant for
 continuous integration and compares the table with ``studies/baselines/NAME.csv``.
 
-Adding a study: write the module, add its name to `STUDIES`, run ``iga study run NAME --size ci`` and, once the
+Adding a study: write the module, add it to `STUDIES`, run ``iga study run NAME --size ci`` and, once the
 numbers are right, copy the CSV file it writes to ``studies/baselines``.
 """
 
@@ -22,7 +22,7 @@ from iga.files import write_text
 from iga.progress import QUIET, Progress
 from studies.table import Column, Difference, Slope, Table, compare, read_csv, to_csv, to_json
 
-STUDIES: tuple[str, ...] = ()
+STUDIES: dict[str, str] = {}
 BASELINES = Path(__file__).parent / "baselines"
 Size = Literal["ci", "full"]
 
@@ -112,7 +112,7 @@ def find(name: str) -> Study:
     """
     if name not in STUDIES:
         raise InputError(f"there is no study {name!r}; there are: {', '.join(STUDIES)}")
-    return cast(Study, importlib.import_module(f"studies.{name}"))
+    return cast(Study, importlib.import_module(f"studies.{STUDIES[name]}"))
 
 
 def list_studies() -> list[tuple[str, str]]:
