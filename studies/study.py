@@ -1,7 +1,7 @@
 """Studies: a module with ``NAME``, ``COLUMNS``, ``SLOPES`` and ``run(size, progress) -> Result``, run and held fast.
 
-`STUDIES` names the studies and their modules. `run_study` writes what a study finds, `check_study` runs it at the size meant for
-continuous integration and compares the table with ``studies/baselines/NAME.csv``.
+`STUDIES` names the studies and their modules. `run_study` writes what a study finds, `check_study` runs it at the size
+meant for continuous integration and compares the table with ``studies/baselines/NAME.csv``.
 
 Adding a study: write the module, add it to `STUDIES`, run ``iga study run NAME --size ci`` and, once the
 numbers are right, copy the CSV file it writes to ``studies/baselines``.
@@ -22,7 +22,16 @@ from iga.files import write_text
 from iga.progress import QUIET, Progress
 from studies.table import Column, Difference, Slope, Table, compare, read_csv, to_csv, to_json
 
-STUDIES: dict[str, str] = {}
+STUDIES: dict[str, str] = {
+    name: name
+    for name in (
+        "tet_to_hex_exactness",
+        "tet_to_hex_continuity",
+        "tets_versus_hexes",
+        "nurbs_convergence",
+        "elasticity_benchmarks",
+    )
+}
 BASELINES = Path(__file__).parent / "baselines"
 Size = Literal["ci", "full"]
 
