@@ -13,11 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from problems.benchmarks import Benchmark
-
 import geometry
 from iga.progress import Progress
 from problems import benchmarks
+from problems.benchmarks import Benchmark
 from studies.figures import Series, convergence, drawing
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Table, Value, table

@@ -31,7 +31,7 @@ STUDIES: dict[str, str] = {
         "nurbs_convergence",
         "elasticity_benchmarks",
     )
-}
+} | {"bench_cube": "bench_table"}
 BASELINES = Path(__file__).parent / "baselines"
 Size = Literal["ci", "full"]
 

@@ -1,0 +1,253 @@
+"""A tour in three minutes: solids from meshes and from code, heat and elasticity on them, tables, plots and pictures.
+
+Everything ends in ``index.html``, one page that can be read offline. Meshes come from ``../shared/data/tet`` where that
+folder is there, and from the built-in shapes where it is not.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import geometry
+from geometry.tets import domain_of, read_tets, shapes
+from iga.chunk import facet_chunks
+from iga.domain import Domain
+from iga.export import write_vtu
+from iga.plot import can_draw, plot_domain, plot_field
+from iga.progress import Progress
+from iga.skin import Cut
+from problems import Elasticity, Heat, Solution, benchmarks, elasticity, heat, parse
+from problems.material import isotropic
+from studies.report import Picture, Section, print_run, write_report
+from studies.study import find, run_study
+from studies.table import Column, Value, table
+
+LABELS = {"von_mises": "von Mises stress", "temperature": "temperature"}
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "tet"
+STUDIES = ("tet_to_hex_exactness", "tet_to_hex_continuity", "nurbs_convergence", "tets_versus_hexes")
+COLUMNS = (
+    Column("solid", "text", key=True),
+    Column("problem", "text"),
+    Column("cells", "text"),
+    Column("degree", "int"),
+    Column("elements", "int"),
+    Column("functions", "int"),
+    Column("shown", "text"),
+    Column("smallest", format=".4g"),
+    Column("largest", format=".4g"),
+    Column("residual", format=".0e"),
+    Column("seconds", "time", "s"),
+)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A solved problem and how to show it."""
+
+    name: str
+    title: str
+    text: str
+    make: Callable[[], Domain]
+    solve: Callable[[Domain], Solution]
+    shown: str
+    unit: str
+    look: dict[str, Any]
+
+
+def demo(out: Path, progress: Progress) -> dict[str, Any]:
+    """Run the tour and write the page.
+
+    Returns
+    -------
+    The files written and the seconds it took.
+    """
+    begin = time.perf_counter()
+    out.mkdir(parents=True, exist_ok=True)
+    drawn = can_draw()
+    if not drawn:
+        progress.say("no pictures: this machine has neither EGL nor OSMesa (install libegl1 and libegl-mesa0)")
+    sections, rows, files = [], [], []
+    for scene in progress.track(_scenes(), "solids"):
+        domain = scene.make()
+        solution = scene.solve(domain)
+        rows.append(_row(scene, domain, solution))
+        files.append(write_vtu(out / f"{scene.name}.vtu", domain, solution.pictured()))
+        pictures = _pictures(scene, domain, solution, out) if drawn else ()
+        files += [picture.path for picture in pictures]
+        sections.append(Section(scene.title, scene.text, pictures=pictures))
+    made = table("solved solids", COLUMNS, rows)
+    sections.insert(0, Section("Solved solids", "All solids of this page at a glance.", made))
+    for name in progress.track(STUDIES, "studies"):
+        run = run_study(name, "ci", out, progress)
+        print_run(run)
+        title = (find(name).__doc__ or name).strip().splitlines()[0]
+        shown = [Picture(p, f.caption) for p, f in zip(run.files[1:-1], run.result.figures, strict=True)]
+        files += run.files
+        note = f"Study {name}, small size."
+        sections.append(Section(title, run.result.summary, run.result.table, tuple(shown), note))
+    seconds = time.perf_counter() - begin
+    page = write_report(
+        out / "index.html",
+        "Isogeometric analysis on solids that come from anywhere",
+        "Tetrahedral meshes, their exact hexahedra and NURBS volumes, solved in one framework. The files beside this "
+        "page hold the same solids as Bezier cells for ParaView and the tables as CSV and JSON. Made in "
+        f"{seconds:.0f} s.",
+        sections,
+    )
+    _print(made, page)
+    return {"files": [str(page), *map(str, files)], "seconds": round(time.perf_counter() - begin, 1)}
+
+
+def _print(made: Any, page: Path) -> None:
+    from rich.console import Console
+
+    from studies.table import render
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=200)
+    console.print(render(made))
+    console.print(f"open {page}", markup=False)
+
+
+def _row(scene: Scene, domain: Domain, solution: Solution) -> dict[str, Value]:
+    low, high = solution.extrema(scene.shown)
+    block = domain.space.blocks[0]
+    return {
+        "solid": scene.name.replace("_", " "), "problem": solution.problem, "cells": block.basis.cell.name,
+        "degree": max(block.basis.degree), "elements": sum(b.elements for b in domain.space.blocks),
+        "functions": domain.space.n, "shown": LABELS[scene.shown], "smallest": low, "largest": high,
+        "residual": float(solution.log["residual"]),
+        "seconds": float(solution.log["assemble_s"]) + float(solution.log["solve_s"]),
+    }  # fmt: skip
+
+
+def _pictures(scene: Scene, domain: Domain, solution: Solution, out: Path) -> tuple[Picture, ...]:
+    solid, field = out / f"{scene.name}_solid.png", out / f"{scene.name}.png"
+    plot_domain(domain, solid, size=760, **{key: scene.look[key] for key in ("view",) if key in scene.look})
+    quantity = solution.quantity(scene.shown)
+    values = quantity.evaluate if quantity.coefficients is None else quantity.coefficients
+    look = _warped(scene, solution)
+    plot_field(domain, values, LABELS[scene.shown], field, unit=scene.unit, size=760, **look)
+    return (Picture(solid, "The elements and the named boundaries."), Picture(field, _caption(scene)))
+
+
+def _warped(scene: Scene, solution: Solution) -> dict[str, Any]:
+    warp = {"warp": solution.coefficients} if solution.problem == "elasticity" else {}
+    return {**scene.look, **warp}
+
+
+def _caption(scene: Scene) -> str:
+    what = LABELS[scene.shown]
+    what = what[0].upper() + what[1:]
+    moved = " on the deformed solid (displacement enlarged)" if scene.shown == "von_mises" else ""
+    return f"{what}{moved}{', cut open' if 'cut' in scene.look else ''}."
+
+
+# --- the solids ------------------------------------------------------------------------------------------------------
+
+
+def _scenes() -> list[Scene]:
+    scenes = [
+        Scene(
+            "ball", "Heat in a curved tetrahedral ball",
+            "A ball of curved tetrahedra, heated inside by a source that is stronger on one side, its surface held at "
+            "zero. The tetrahedra are solved as they stand, as degree-3 Bezier elements.",
+            _ball, _heat_ball, "temperature", "K", {"cut": Cut("-y", smooth=True)},
+        ),
+        Scene(
+            "converted", "Elasticity on hexahedra made of tetrahedra",
+            "Each tetrahedron became four hexahedra by the exact conversion of Xu et al. (2018, Theorem 3); the solid "
+            "is the same to round-off. It stands on its lowest face and is pressed and sheared on its highest.",
+            _converted, _press, "von_mises", "Pa", {},
+        ),
+        Scene(
+            "ring", "A pressurised thick ring",
+            "A quarter of a thick cylinder as one rational patch: the circles are exact. Inner pressure, plane strain; "
+            "the displacement is known in closed form (Lame).",
+            lambda: geometry.build("thick_ring", "nurbs", refine=2, elevate=1),
+            lambda domain: benchmarks.thick_cylinder(planes=("end", "start")).solve(domain), "von_mises", "Pa", {},
+        ),
+        Scene(
+            "plate", "A plate with a hole in tension",
+            "A quarter of the plate, two patches glued into one space; Kirsch's stresses act on the far sides.",
+            lambda: geometry.build("plate_with_hole", "nurbs", refine=3),
+            lambda domain: benchmarks.plate_with_hole().solve(domain), "von_mises", "Pa", {"view": (0.5, -0.9, 1.2)},
+        ),
+        Scene(
+            "torus", "Heat in a NURBS torus",
+            "Five patches of a quarter torus, hot at one end, cold at the other, cooled by air along its way.",
+            lambda: geometry.build("torus", "nurbs", refine=2), _heat_torus, "temperature", "K",
+            {"view": (1.0, 0.6, 1.1)},
+        ),
+    ]  # fmt: skip
+    if (DATA / "bob.mesh").is_file():
+        scenes.insert(
+            1,
+            Scene(
+                "bob", "Heat in a tetrahedral mesh from a file",
+                "The mesh bob.mesh of 14,781 straight tetrahedra as quadratic Bezier elements. Warm water inside (a "
+                "source), cold air outside (convection).",
+                lambda: geometry.build(DATA / "bob.mesh", "tets", degree=2), _heat_bob, "temperature", "K",
+                {"cut": Cut("y", (0.0, -0.25, 0.0), smooth=True), "edges": False},
+            ),
+        )  # fmt: skip
+    return scenes
+
+
+def _ball() -> Domain:
+    file = DATA / "sphere_fine_P3.msh"
+    return geometry.build(file, "tets") if file.is_file() else domain_of(shapes.ball(1, 3))
+
+
+def _heat_ball(domain: Domain) -> Solution:
+    return heat.solve(Heat(source=parse("30*exp(2*x)*(1 + sin(6*z))"), temperature={"*": 0.0}), domain)
+
+
+def _heat_bob(domain: Domain) -> Solution:
+    convection = heat.Convection(2.0, 0.0)
+    return heat.solve(Heat(source=parse("10*(1+x)**2"), convection={"*": convection}), domain)
+
+
+def _heat_torus(domain: Domain) -> Solution:
+    problem = Heat(temperature={"start": 100.0, "end": 0.0}, convection={"outer": heat.Convection(0.2, 20.0)})
+    return heat.solve(problem, domain)
+
+
+def _converted() -> Domain:
+    file = DATA / "unit_cell.msh"
+    if file.is_file():
+        domain = domain_of(read_tets(file), "hex4", angle=40.0)
+    else:
+        domain = domain_of(shapes.mapped(shapes.cube(3), _twisted, 2), "hex4")
+    low, high = _lowest_and_highest(domain)
+    sides = tuple(f for name, facets in domain.boundaries.items() if name not in (low, high) for f in facets)
+    named = {"bottom": domain.boundaries[low], "top": domain.boundaries[high], "sides": sides}
+    return replace(domain, boundaries=named)
+
+
+def _twisted(x: Any) -> Any:
+    """Cube turned about its vertical middle line, by an angle that grows with the height."""
+    turn, middle = 0.8 * x[..., 2], x[..., :2] - 0.5
+    c, s, across, along = np.cos(turn), np.sin(turn), middle[..., 0], middle[..., 1]
+    return np.stack([c * across - s * along, s * across + c * along, x[..., 2]], axis=-1)
+
+
+def _press(domain: Domain) -> Solution:
+    held, load = {"bottom": (0.0, 0.0, 0.0)}, {"top": (0.5, 0.0, -1.0)}
+    return elasticity.solve(Elasticity(isotropic(100.0, 0.3), displacement=held, traction=load), domain)
+
+
+def _lowest_and_highest(domain: Domain) -> tuple[str, str]:
+    """Names of the boundaries whose mean height is least and greatest."""
+    height = {}
+    for name in domain.boundaries:
+        found = [(chunk.x[..., 2] * chunk.dx).sum() for chunk in facet_chunks(domain, name)]
+        height[name] = sum(found) / sum(chunk.dx.sum() for chunk in facet_chunks(domain, name))
+    return min(height, key=lambda name: height[name]), max(height, key=lambda name: height[name])
