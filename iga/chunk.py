@@ -157,36 +157,39 @@ class Chunk:
         return self._area / np.linalg.norm(self._area, axis=-1, keepdims=True)
 
     @cached_property
-    def _functions(self) -> tuple[Array, Array]:
-        """Functions N or R and their reference gradients: (1 or e, q, n) and (1 or e, q, n, d)."""
-        values, gradients = self.table
+    def _extraction(self) -> Array | None:
+        """Transposed operators C^T, (e, b, n); None for the identity."""
         C = dense_extraction(self.domain.space.blocks[self.block], self.elements)
-        if C is None:
-            N, dN = values[None], gradients[None]
-        else:
-            transposed = C.swapaxes(1, 2)
-            N = values @ transposed
-            dN = np.stack([gradients[..., d] @ transposed for d in range(gradients.shape[2])], axis=-1)
-        weights = self.domain.space.weights
-        if weights is None:
-            return N, dN
-        W, dW = self._map[2], self._map[3]
-        if W is None or dW is None:
-            return N, dN
-        scale = weights[self.dofs][:, None, :] / W[..., None]
-        R = N * scale
-        dR = dN * scale[..., None] - R[..., None] * (dW / W[..., None])[:, :, None, :]
-        return R, dR
+        return None if C is None else C.swapaxes(1, 2)
 
-    @property
+    @cached_property
     def N(self) -> Array:
         """Values of the functions, (1 or e, q, n)."""
-        return self._functions[0]
+        values, C = self.table[0], self._extraction
+        N = values[None] if C is None else values @ C
+        weights, W = self.domain.space.weights, self._map[2]
+        return N if weights is None or W is None else N * (weights[self.dofs][:, None, :] / W[..., None])
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """Reference gradients of the functions, (1 or e, q, n, d)."""
+        gradients, C = self.table[1], self._extraction
+        q, b, d = gradients.shape
+        if C is None:
+            dN = gradients[None]
+        else:  # one product for all directions, on contiguous rows
+            flat = gradients.transpose(0, 2, 1).reshape(q * d, b)
+            dN = (flat @ C).reshape(len(C), q, d, -1).swapaxes(2, 3)
+        weights, W, dW = self.domain.space.weights, self._map[2], self._map[3]
+        if weights is None or W is None or dW is None:
+            return dN
+        scale = weights[self.dofs][:, None, :] / W[..., None]
+        return dN * scale[..., None] - self.N[..., None] * (dW / W[..., None])[:, :, None, :]
 
     @cached_property
     def G(self) -> Array:
         """Physical gradients of the functions, (e, q, n, 3)."""
-        return self._functions[1] @ self.inverse
+        return self._slopes @ self.inverse
 
     def at(self, coefficients: Array) -> Array:
         """Values at the points of a field with coefficients (N,) or (N, c): (e, q) or (e, q, c)."""
