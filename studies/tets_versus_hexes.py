@@ -125,7 +125,7 @@ def _draw(path: Path, made: Table, x: str, label: str) -> None:
     for degree in sorted(set(LEVELS["full"])):
         for cells in CELLS:
             cost, error = _curve(made, cells, degree, x)
-            rate = -(degree + 1) / 3 if cells == "tets" and x == "functions" else None
+            rate = -(degree + 1) / 3 if cells == "hexes" and x == "functions" else None
             lines.append(Series(f"{cells} $p={degree}$", cost, error, rate, family=degree, dashed=cells == "hexes"))
     with drawing(path, size=(5.4, 4.2)) as axes:
         convergence(axes, lines, label, r"relative error in $L^2$")
