@@ -38,8 +38,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Progress = Callable[[int, float], None]
 
-DIRECT_OPERATIONS = 4e11
-"""Operations of a factorization up to which ``solver="auto"`` prefers it (10 to 20 s on two cores)."""
+DIRECT_OPERATIONS = 5e10
+"""Operations of a factorization up to which ``solver="auto"`` prefers it (about 2 s on two free cores)."""
 DIRECT_MEMORY = 3e9
 """Bytes of a factorization up to which ``solver="auto"`` takes it."""
 DIRECT_ENTRIES = 60_000_000
@@ -99,7 +99,7 @@ def solve(
     domain : where the unknowns live. It gives the iterative solver its coarse space and rigid motions, and errors their
         names; its constraint is used if none is given.
     constraint : (n, n_free) matrix T, applied to each component.
-    solver : "direct", "cg", or "auto": direct up to about 4e11 operations and 3 GB, predicted from the pattern.
+    solver : "direct", "cg", or "auto": direct up to about 5e10 operations and 3 GB, predicted from the pattern.
     tolerance : relative residual to reach.
     preconditioner : correction for a residual over the unknowns that are not fixed, in ascending order.
     start : (N,) first guess for conjugate gradients (free coefficients with a constraint).

@@ -34,6 +34,33 @@ def choose(unknowns: Array, order: Array, covered: Array, chosen: Array) -> None
 
 
 @njit(**OPTIONS)
+def _invert_in_place(A: Array) -> None:
+    """Gauss-Jordan elimination of a positive definite matrix of unit diagonal; a vanishing pivot's row becomes zero.
+
+    Plain loops, so that no second set of threads starts under the threads that call this.
+    """
+    m = len(A)
+    for k in range(m):
+        pivot = A[k, k]
+        if pivot < 1e-13:
+            for j in range(m):
+                A[k, j] = 0.0
+                A[j, k] = 0.0
+            continue
+        A[k, k] = 1.0
+        inverse = 1.0 / pivot
+        for j in range(m):
+            A[k, j] *= inverse
+        for i in range(m):
+            if i != k:
+                factor = A[i, k]
+                A[i, k] = 0.0
+                if factor != 0.0:
+                    for j in range(m):
+                        A[i, j] -= factor * A[k, j]
+
+
+@njit(**OPTIONS)
 def invert(
     first: int, last: int, unknowns: Array, pointers: Array, columns: Array, values: Array, inverses: Array
 ) -> None:
@@ -62,12 +89,11 @@ def invert(
         for a in range(m):
             for b in range(m):
                 A[a, b] *= scale[a] * scale[b]
-        inverse = np.linalg.inv(A)
+        _invert_in_place(A)
         for a in range(m):
             for b in range(m):
                 present = own[a] >= 0 and own[b] >= 0
-                mean = 0.5 * (inverse[a, b] + inverse[b, a]) * scale[a] * scale[b]
-                inverses[k, a, b] = mean if present else 0.0
+                inverses[k, a, b] = 0.5 * (A[a, b] + A[b, a]) * scale[a] * scale[b] if present else 0.0
 
 
 @njit(**OPTIONS)
