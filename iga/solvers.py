@@ -1,14 +1,8 @@
 r"""Solution of K u = f with fixed unknowns and constraints: sparse direct or preconditioned conjugate gradients.
 
 With the constraint u = T z of a space the system is T^T K T z = T^T f; fixed entries of z move to the right-hand side.
-What remains is symmetric positive definite if the body is held. Conjugate gradients stop when the residual r and its
-preconditioned length have both fallen by the tolerance,
-
-    |r| <= tol |f|    and    (r . M r)^(1/2) <= tol (f . M f)^(1/2),
-
-the second being the energy norm of the error up to the quality of the preconditioner M, or when r has reached what
-rounding allows: |r| <= 8 eps (| |K| |u| | + |f|), the componentwise backward error in the 2-norm. Residuals that decide
-are computed anew from f - K u. Anything else raises `ConvergenceError`.
+For conjugate gradients (`iga.krylov`) the rest must be symmetric positive definite, so the body must be held
+(`iga.supports`).
 
 Unknown ``i*c + a`` is component a of function i. Axis letters: n unknown, k fixed unknown.
 """
@@ -23,20 +17,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array, issparse, kron
-from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from iga.domain import Domain
-from iga.errors import ConvergenceError, InputError
+from iga.errors import InputError
 from iga.factorization import Factor, checked, estimate, factorize
-from iga.kernels import sparse
+from iga.krylov import Progress, conjugate_gradients
 from iga.preconditioners import Preconditioner, aggregation, linear_prolongation, rigid_motions, two_level
 from iga.products import absolute_product, product
+from iga.supports import require_held
 
-__all__ = ["Factor", "SolveLog", "factorize", "solve"]
+__all__ = ["Factor", "SolveLog", "conjugate_gradients", "factorize", "solve"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Progress = Callable[[int, float], None]
 
 DIRECT_OPERATIONS = 5e10
 """Operations of a factorization up to which ``solver="auto"`` prefers it (about 2 s on two free cores)."""
@@ -46,9 +40,6 @@ DIRECT_ENTRIES = 60_000_000
 """Matrix entries up to which ``solver="auto"`` asks for the cost of a factorization at all."""
 SMALL = 6000
 """Unknowns up to which a factorization needs no question."""
-
-MOTIONS = ("translation along x", "translation along y", "translation along z", "rotation about x", "rotation about y",
-           "rotation about z")
 
 
 @dataclass(frozen=True)
@@ -258,7 +249,7 @@ def _solve_matrix(task: _Task, solver: str) -> tuple[Array, SolveLog]:
     free = np.flatnonzero(~held)
     if not len(free):
         return values, SolveLog("direct", "none", 0, 0, 0.0, 0.0, 0.0)
-    _require_held(K, held, task.layout)
+    require_held(K, held, task.layout.modes(K.shape[0]), task.layout.components)
     direct = solver == "direct"
     inner = None
     if solver != "cg":
@@ -367,83 +358,6 @@ def _solve_operator(
     return solution, log
 
 
-def conjugate_gradients(
-    apply: Callable[[Array], Array],
-    f: Array,
-    precondition: Callable[[Array], Array],
-    u: Array,
-    tolerance: float = 1e-13,
-    max_iterations: int | None = None,
-    progress: Progress | None = None,
-    magnitude: Callable[[Array], Array] | None = None,
-) -> tuple[Array, int, float]:
-    """Preconditioned conjugate gradients, flexible in the preconditioner (Polak-Ribiere).
-
-    Parameters
-    ----------
-    apply : product with the matrix.
-    f, u : right-hand side and first guess, (n,).
-    magnitude : product |K| |u| from u; without it the attainable residual is estimated as if it were |f| + |K u|.
-
-    Returns
-    -------
-    The solution, the number of iterations, and the relative residual computed from it.
-
-    Raises
-    ------
-    ConvergenceError : the tolerance is not reached, or the matrix or the preconditioner is not positive definite.
-    """
-    most = 2000 if max_iterations is None else max_iterations
-    goal = float(np.linalg.norm(f))
-    if goal == 0.0:
-        return np.zeros_like(f), 0, 0.0
-    u = u.copy()
-    r = f - apply(u) if u.any() else f.copy()
-    z = precondition(r)
-    rz = float(r @ z)
-    energy = rz if not u.any() else max(rz, float(f @ precondition(f)))
-    p, best, count = z.copy(), np.inf, 0
-    while True:
-        while count < most:
-            q = apply(p)
-            curvature = float(p @ q)
-            if not (curvature > 0 and rz > 0):
-                if rz == 0.0 and not r.any():
-                    break
-                what = "matrix" if rz > 0 else "preconditioner"
-                raise ConvergenceError(f"the {what} is not positive definite, as iteration {count} shows")
-            old = r.copy()
-            length = np.sqrt(sparse.advance(rz / curvature, p, q, u, r))
-            count += 1
-            if progress is not None:
-                progress(count, length / goal)
-            z = precondition(r)
-            new = float(r @ z)
-            if length <= tolerance * goal and new <= tolerance**2 * energy:
-                break
-            ratio = (new - float(old @ z)) / rz
-            sparse.turn(ratio, z, p)
-            rz = new
-            if length <= 1e-3 * tolerance * goal:  # far below: rounding keeps the energy norm from following
-                break
-        r = f - apply(u)
-        length = float(np.linalg.norm(r))
-        if length <= tolerance * goal:
-            return u, count, length / goal
-        scale = goal + float(np.linalg.norm(magnitude(u) if magnitude is not None else apply(u)))
-        if length <= 8 * np.finfo(float).eps * scale:
-            return u, count, length / goal
-        if count >= most or not length < 0.5 * best:
-            raise ConvergenceError(
-                f"conjugate gradients stopped after {count} iterations at relative residual {length / goal:.1e}, "
-                f"not {tolerance:.1e}"
-            )
-        best = length
-        z = precondition(r)
-        rz = float(r @ z)
-        p = z.copy()
-
-
 def _relative(part: Array, whole: Array) -> float:
     """Length of a part over the length of the whole, or the former if the latter is zero."""
     length = float(np.linalg.norm(whole))
@@ -496,41 +410,3 @@ def _ordering(K: csr_array, block: int) -> Index:
     nodes = csr_array(K[::block][:, ::block])
     order = np.asarray(reverse_cuthill_mckee(nodes, symmetric_mode=True), dtype=np.int64)
     return (order[:, None] * block + np.arange(block)).ravel()
-
-
-def _require_held(K: csr_array, held: NDArray[np.bool_], layout: _Layout) -> None:
-    """Refuse a system in which a connected part of the body can move without energy.
-
-    On each part the energies Z^T K Z of the motions Z that the fixed unknowns leave free must be positive: the null
-    space of the 2m x m matrix (K Z, Z at fixed unknowns) is looked for.
-    """
-    c = layout.components
-    n = K.shape[0]
-    modes = layout.modes(n)
-    m = modes.shape[1]
-    graph = K if c == 1 else csr_array(K[::c][:, ::c])
-    count, label = connected_components(graph, directed=False) if graph.shape[0] * c == n else (1, np.zeros(n // c))
-    part = np.repeat(label, c).astype(np.int64)
-    stiffness = np.bincount(part, K.diagonal(), count)
-    gram = np.zeros((count, m, m))
-    size = np.zeros((count, m))
-    d = np.abs(K.diagonal())
-    forces = np.stack([product(K, np.ascontiguousarray(modes[:, j])) for j in range(m)], axis=1)
-    for i in range(m):
-        size[:, i] = np.bincount(part, modes[:, i] ** 2 * d, count)
-        for j in range(m):
-            pinned = np.where(held, modes[:, i] * modes[:, j] * d, 0.0)
-            gram[:, i, j] = np.bincount(part, modes[:, i] * forces[:, j] + pinned, count)
-    size = np.sqrt(np.maximum(size, 1e-300))
-    gram = gram / (size[:, :, None] * size[:, None, :])
-    energies, vectors = np.linalg.eigh(0.5 * (gram + gram.swapaxes(1, 2)))
-    loose = np.argwhere((energies < 1e-12) & (stiffness > 0)[:, None])
-    if not len(loose):
-        return
-    body = int(loose[0, 0])
-    which = "the body" if count == 1 else f"part {body} of {count} (with function {int(np.argmax(label == body))})"
-    if m == 1 or c == 1:
-        raise InputError(f"{which} is not held: its level is free, so fix a value or add a convection condition")
-    span = vectors[body][:, energies[body] < 1e-12]
-    names = [MOTIONS[i] for i in range(m) if (span[i] ** 2).sum() > 1e-3]
-    raise InputError(f"{which} is not held and free to move by: {', '.join(names)}; fix displacements or add springs")
