@@ -1,0 +1,130 @@
+"""The command line: its JSON contract, exit codes and one-line errors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from studies.cli import main
+
+BUILT = {"source", "input", "degree", "elements", "functions", "boundaries", "volume", "quality", "distance", "report",
+         "seconds", "peak_mb"}
+SOLVED = {"problem", "functions", "unknowns", "assemble_s", "solve_s", "iterations", "residual", "l2_error", "h1_error",
+          "relative_l2_error", "relative_h1_error", "energy", "extrema", "peak_mb"}
+QUALITY = {"certified", "refuted", "undecided", "min_det_lower", "min_det_upper", "scaled_jacobian"}
+SCALED = {"min", "mean", "share_below_half", "cells_negative_gauss", "cells_negative_centre"}
+
+
+@pytest.fixture
+def ball(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    """A saved ball of curved tetrahedra converted to hexahedra."""
+    path = tmp_path / "ball.npz"
+    assert main(["build", "ball", "--source", "tets", "--set", "convert=hex4", "--set", "n=1", "-o", str(path)]) == 0
+    capsys.readouterr()
+    return path
+
+
+def answer(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
+    """Run a command with --json and return its one object."""
+    assert main([*map(str, words), "--json"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.count("\n") == 1
+    return json.loads(captured.out)
+
+
+def test_build_info_and_refine_say_the_same_kind_of_thing(ball: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    info = answer(capsys, "info", ball)
+    assert set(info) >= BUILT
+    assert set(info["quality"]) >= QUALITY
+    assert set(info["quality"]["scaled_jacobian"]) >= SCALED
+    assert info["quality"]["refuted"] == info["quality"]["undecided"] == 0
+    fine = answer(capsys, "refine", ball, "-o", ball.with_name("fine.npz"))
+    assert fine["elements"]["hexahedron"] == 8 * info["elements"]["hexahedron"]
+    assert abs(fine["volume"] - info["volume"]) < 1e-12
+    raised = answer(capsys, "refine", ball, "--elevate", 1, "-o", ball.with_name("raised.npz"))
+    assert raised["degree"] == info["degree"] + 1
+    assert raised["elements"] == info["elements"]
+
+
+def test_solve_answers_and_writes(ball: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = ball.with_name("out.vtu")
+    found = answer(capsys, "solve", ball, "--heat", "--exact", "1+2*x-3*y+0.5*z", "-o", out)
+    assert set(found) >= SOLVED
+    assert found["relative_h1_error"] < 1e-11
+    assert out.is_file()
+    found = answer(capsys, "solve", ball, "--elasticity", "--exact", "x+2*y;3*z-y;x-y+z", "--solver", "cg")
+    assert found["relative_h1_error"] < 1e-10
+    assert found["iterations"] > 0
+
+
+def test_problem_file(ball: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    case = ball.with_name("case.toml")
+    lines = ['problem = "heat"', "[material]", "conductivity = 2", "[load]", "source = 6"]
+    lines += ['[boundary."*"]', "temperature = 0"]
+    case.write_text("\n".join(lines))
+    found = answer(capsys, "solve", ball, case)
+    # u = (1 - r^2) / 2 on the unit ball.
+    assert abs(found["extrema"]["temperature"][1] - 0.5) < 0.05
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """Run a command that must exit 2 with one line."""
+    assert main(list(map(str, words))) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert "Traceback" not in captured.err
+    return captured.err
+
+
+def test_bad_input_is_one_line(ball: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "x.npz"
+    assert "nothing.msh" in refused(capsys, "build", "nothing.msh", "--source", "tets", "-o", out)
+    assert "wood" in refused(capsys, "build", "ball", "--source", "wood", "-o", out)
+    assert "colour" in refused(capsys, "build", "ball", "--source", "tets", "--set", "colour=red", "-o", out)
+    assert "key=value" in refused(capsys, "build", "ball", "--source", "tets", "--set", "colour", "-o", out)
+    assert not out.exists()
+    junk = tmp_path / "junk.npz"
+    junk.write_bytes(b"PK\x03\x04 not a zip")
+    assert "junk.npz" in refused(capsys, "info", junk)
+    assert "say what to solve" in refused(capsys, "solve", ball, "--heat")
+    assert "import" in refused(capsys, "solve", ball, "--heat", "--exact", "__import__('os').system('true')")
+    assert "negative" in refused(capsys, "refine", ball, "--levels", -1, "-o", out)
+    assert "no study" in refused(capsys, "study", "run", "of_nothing")
+    assert "suffix" in refused(capsys, "export", ball, "-o", tmp_path / "x.stl")
+    assert "there is no folder" in refused(capsys, "build", "ball", "--source", "tets", "-o", tmp_path / "no" / "x.npz")
+
+
+def test_folded_solids_are_built_and_not_solved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from geometry.tets.conversion import degree_of
+    from iga.store import load, save
+
+    path = tmp_path / "folded.npz"
+    assert main(["build", "ball", "--source", "tets", "--set", "n=1", "-o", str(path)]) == 0
+    domain = load(path)
+    points = domain.points.copy()
+    block = domain.space.blocks[0]
+    assert degree_of(block.n) == 2
+    points[block.dofs[0, 1]] += 3.0
+    from dataclasses import replace
+
+    save(replace(domain, points=points, report={}), path)
+    capsys.readouterr()
+    assert answer(capsys, "info", path)["quality"]["refuted"] > 0
+    assert "folded" in refused(capsys, "solve", path, "--heat", "--exact", "x")
+    assert main(["solve", str(path), "--heat", "--exact", "x", "--allow-invalid"]) in (0, 1)
+
+
+def test_help_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["build"], ["solve"], ["study"], ["bench"]):
+        with pytest.raises(SystemExit) as stop:
+            main([*words, "--help"])
+        assert stop.value.code == 0
+        assert "usage: iga" in capsys.readouterr().out
+
+
+def test_sources_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert {row["source"] for row in answer(capsys, "sources")["sources"]} >= {"nurbs", "tets"}
