@@ -49,6 +49,8 @@ Elasticity::
 
     [boundary.base]
     displacement = [0, 0, 0]            # held; [0, "free", "free"] is a roller
+    [boundary.side]
+    normal_displacement = 0             # slides without friction along the surface, also a curved one
     [boundary.top]
     traction = [0, 0, "x"]              # force per area
     pressure = 10                       # against the outward normal
@@ -88,7 +90,7 @@ KEYS = {
         "": ("problem", "solver", "quadrature", "exact", "material", "load", "boundary", "modes"),
         "material": ("E", "nu", "lambda", "mu", "stiffness", "expansion", "density"),
         "load": ("body_force", "temperature"),
-        "boundary": ("displacement", "traction", "pressure", "support"),
+        "boundary": ("displacement", "normal_displacement", "traction", "pressure", "support"),
         "support": ("stiffness", "normal"),
         "modes": ("count",),
     },
@@ -249,7 +251,7 @@ def read_transient(table: Mapping[str, Any], domain: Domain) -> dict[str, Any]:
 def read_elasticity(sections: Mapping[str, Any], domain: Domain) -> elasticity.Elasticity:
     """Read the tables of an elasticity problem."""
     of_material, load = sections["material"], sections["load"]
-    data: dict[str, dict[str, Any]] = {"displacement": {}, "traction": {}, "pressure": {}, "support": {}}
+    data: dict[str, dict[str, Any]] = {kind: {} for kind in KEYS["elasticity"]["boundary"]}
     for name, conditions in sections["boundary"].items():
         for kind, value in conditions.items():
             where = f"[boundary.{name}] {kind}"
@@ -261,7 +263,7 @@ def read_elasticity(sections: Mapping[str, Any], domain: Domain) -> elasticity.E
                     raise InputError(f"{where} normal must be true or false")
                 stiffness = scalar(value["stiffness"], f"{where} stiffness", domain, SPACE)
                 value = elasticity.Support(stiffness, value.get("normal", False))
-            elif kind == "pressure":
+            elif kind in ("pressure", "normal_displacement"):
                 value = scalar(value, where, domain, SPACE)
             else:
                 value = vector(value, where, domain, kind == "displacement")
@@ -281,6 +283,7 @@ def read_elasticity(sections: Mapping[str, Any], domain: Domain) -> elasticity.E
         expansion,
         scalar(load.get("temperature", 0.0), "[load] temperature", domain, SPACE),
         scalar(of_material.get("density", 1.0), "[material] density", domain, SPACE),
+        data["normal_displacement"],
     )
 
 

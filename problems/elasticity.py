@@ -2,6 +2,7 @@ r"""Linear elasticity: static and its lowest modes.
 
     -div sigma = body force,   sigma = C (strain(u) - expansion * temperature * m),   m = (1, 1, 1, 0, 0, 0)
     u = displacement (whole, or some components)   on some boundaries,
+    u . n = normal displacement, no friction       on others (also curved ones: weakly, by Nitsche's method),
     sigma n = traction - pressure n - S u          on others; stress-free elsewhere.
 
 C (6, 6) in Voigt order xx, yy, zz, yz, xz, xy with engineering shear. The elastic support S is k (all directions) or
@@ -21,6 +22,7 @@ from scipy.sparse import csr_array
 from iga import integrands
 from iga.assembly import matrix, vector
 from iga.chunk import Chunk, chunks
+from iga.conditions import nitsche
 from iga.domain import Domain
 from iga.errors import InputError
 from iga.field import Field
@@ -51,6 +53,7 @@ class Elasticity:
     stiffness : (6, 6), formula of that shape, function of x or field; see :mod:`problems.material`
     body_force : force per volume (3,)
     displacement : (3,) per boundary; components that are None stay free
+    normal_displacement : u . n per boundary, the surface slides; 0 on a plane of symmetry of any direction
     traction, pressure, support : loads and elastic supports; a component is either held or loaded
     expansion : thermal strain per degree, a number or Voigt vector (6,)
     temperature : rise above the stress-free temperature: number, formula, function, field
@@ -66,6 +69,7 @@ class Elasticity:
     expansion: float | ArrayLike = 0.0
     temperature: Datum = 0.0
     density: Any = 1.0
+    normal_displacement: Mapping[str, Datum] = field(default_factory=dict)
 
 
 def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int | None = None) -> Solution:
@@ -87,9 +91,12 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
     C = checked(problem.stiffness, "stiffness", 6, domain)
     fixed, value = prescribed(domain, problem.displacement, 3, points)
     springs = support_matrix(problem, domain, points)
+    f = load(problem, domain, points)
+    if problem.normal_displacement:
+        sliding, right = slide(problem, domain, C, points)
+        springs, f = sliding if springs is None else springs + sliding, f + right
     require_supports(domain, fixed, springs)
     K = matrix(domain, stiffness_integrand(C), points, components=3)
-    f = load(problem, domain, points)
     thermal = thermal_strain(problem)
     if thermal is not None:
         heating = vector(
@@ -112,7 +119,8 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
 def resolved(problem: Elasticity, domain: Domain) -> Elasticity:
     """Return the problem with patterns replaced by the names they match, or raise if conditions exclude each other."""
     displacement = resolve(domain, problem.displacement, "displacement")
-    loads = {what: resolve(domain, getattr(problem, what), what) for what in ("traction", "pressure", "support")}
+    others = ("normal_displacement", "traction", "pressure", "support")
+    loads = {what: resolve(domain, getattr(problem, what), what.replace("_", " ")) for what in others}
     whole = {
         name: datum
         for name, datum in displacement.items()
@@ -122,7 +130,7 @@ def resolved(problem: Elasticity, domain: Domain) -> Elasticity:
         if isinstance(datum, int | float):
             raise InputError(f"displacement on '{name}' needs three components, not one number")
     for what, names in loads.items():
-        exclude(whole, names, ("displacement", what))
+        exclude(whole, names, ("displacement", what.replace("_", " ")))
     return Elasticity(
         problem.stiffness,
         problem.body_force,
@@ -133,6 +141,7 @@ def resolved(problem: Elasticity, domain: Domain) -> Elasticity:
         problem.expansion,
         problem.temperature,
         problem.density,
+        loads["normal_displacement"],
     )
 
 
@@ -168,6 +177,14 @@ def support_matrix(problem: Elasticity, domain: Domain, points: int | None) -> c
         term = matrix(domain, spring, points, boundary=name, components=3)
         total = term if total is None else total + term
     return total
+
+
+def slide(problem: Elasticity, domain: Domain, C: Any, points: int | None) -> tuple[csr_array, Array]:
+    """Matrix (3n, 3n) and vector (3n,) of boundaries with a given normal displacement."""
+    if isinstance(C, Field):
+        raise InputError("a normal displacement needs a material of numbers or formulas, not of attributes")
+    data = {name: freeze(datum) for name, datum in problem.normal_displacement.items()}
+    return nitsche(domain, data, integrands.Elasticity(C), normal=True, points=points)
 
 
 def load(problem: Elasticity, domain: Domain, points: int | None) -> Array:
@@ -242,6 +259,9 @@ def modes(
     C = checked(problem.stiffness, "stiffness", 6, domain)
     K = matrix(domain, stiffness_integrand(C), points, components=3)
     springs = support_matrix(problem, domain, points)
+    if problem.normal_displacement:
+        sliding = slide(problem, domain, C, points)[0]
+        springs = sliding if springs is None else springs + sliding
     density = checked(problem.density, "density", 3, domain)
     M = matrix(domain, Mass(density, 3), points)
     zero = {

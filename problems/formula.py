@@ -159,7 +159,7 @@ class Formula:
         if not np.isfinite(value).all():
             flat = np.isfinite(value).reshape(-1, len(self.expressions)).all(axis=1)
             where = ", ".join(f"{c:.6g}" for c in x.reshape(-1, 3)[np.argmin(flat)])
-            raise InputError(f"formula '{self.text}' has no finite real value at ({where})")
+            raise InputError(f"formula '{shorten(self.text)}' has no finite real value at ({where})")
         return value.reshape(x.shape[:-1] + self.shape)
 
     @property

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geometry.nurbs.source import build
 from iga.chunk import facet_chunks
 from iga.errors import InputError
 from iga.field import Field, attribute
@@ -19,7 +20,7 @@ from problems.elasticity import Elasticity, Support, von_mises
 from problems.formula import from_array, parse, parse_vector
 from problems.material import isotropic, symbolic
 from problems.rigid import free_motions
-from tests.problems.shapes import bent_box, box, cylinder_sector
+from tests.problems.shapes import bent_box, box, cylinder_sector, sphere_octant
 from tests.problems.test_heat import SIDES, two_boxes
 
 ROOT = np.random.default_rng(83).standard_normal((6, 6))
@@ -113,6 +114,25 @@ def test_normal_support_carries_pressure_like_a_spring() -> None:
     for chunk in facet_chunks(domain, "outer"):
         moved = solution.quantity("displacement").evaluate(chunk)
         np.testing.assert_allclose((moved * chunk.normal).sum(axis=-1), outer(q), rtol=1e-4)
+
+
+def test_sliding_on_curved_and_plane_boundaries() -> None:
+    """A hollow sphere in a rigid shell, u_r = r - 8/r^2: the outer sphere and the planes of symmetry only slide."""
+    known = manufactured.elasticity(
+        ";".join(f"(1 - 8/(x**2+y**2+z**2)**1.5)*{axis}" for axis in "xyz"), isotropic(3.0, 0.3)
+    )
+    problem = Elasticity(
+        isotropic(3.0, 0.3),
+        displacement={"inner": known.u},
+        normal_displacement={"outer": 0.0, "x0": 0.0, "y0": 0.0, "z0": 0.0},
+    )
+    errors = [elasticity.solve(problem, sphere_octant(n, 2)).errors(known.u) for n in (1, 2, 4)]
+    assert np.log2(errors[1].l2 / errors[2].l2) > 2.8
+    assert np.log2(errors[1].h1 / errors[2].h1) > 1.8
+    assert errors[2].relative_l2 < 2e-3
+    inside = Elasticity(isotropic(3.0, 0.3), normal_displacement={"inner": 0.0})
+    with pytest.raises(InputError, match="freely: rotation about x, rotation about y, rotation about z;"):
+        elasticity.solve(inside, build("hollow_sphere_octant", degree=2))
 
 
 @pytest.mark.parametrize("kind", ["number", "formula", "field", "function"])
