@@ -1,0 +1,1 @@
+"""Catmull-Clark solids: smooth volumes and spline spaces on any hexahedral mesh."""

@@ -1,0 +1,91 @@
+"""Hexahedral meshes made for the tests: boxes, the seven-block ball, fans around an edge, a tetrahedron in four."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from iga.cells import HEXAHEDRON, TETRAHEDRON
+
+
+def box(*n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points and cells of a box of n1 x n2 x n3 unit cubes."""
+    points = np.stack(np.meshgrid(*[np.arange(k + 1) for k in n], indexing="ij"), axis=-1).reshape(-1, 3)
+    lower = np.stack(np.meshgrid(*[np.arange(k) for k in n], indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    strides = np.array([(n[1] + 1) * (n[2] + 1), n[2] + 1, 1])
+    return points.astype(float), (lower + HEXAHEDRON.vertices.astype(int)) @ strides
+
+
+def ball() -> tuple[np.ndarray, np.ndarray]:
+    """Seven blocks: a cube of half width 1/2 and six around it, out to half width 1."""
+    corners = HEXAHEDRON.vertices - 0.5
+    points = np.concatenate([corners, 2.0 * corners])
+    cells = [np.arange(8)]
+    for face in HEXAHEDRON.faces:
+        quad = np.array(face.vertices)
+        cells.append(np.concatenate([quad, quad + 8]))
+    return points, np.array(cells)
+
+
+def fan(m: int, layers: int = 3, rings: int = 2, seed: int = 7, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Prism around an edge line of valence m: m sectors of rings x rings quadrilaterals, extruded in layers."""
+    numbers: dict[tuple[float, float], int] = {}
+    plane: list[np.ndarray] = []
+
+    def vertex(p: np.ndarray) -> int:
+        key = (round(float(p[0]), 9) + 0.0, round(float(p[1]), 9) + 0.0)
+        if key not in numbers:
+            numbers[key] = len(plane)
+            plane.append(p)
+        return numbers[key]
+
+    quads = []
+    for k in range(m):
+        a, b = (np.array([np.cos(t), np.sin(t)]) for t in (2 * np.pi * k / m, 2 * np.pi * (k + 1) / m))
+        grid = [[vertex(i * a + j * b) for j in range(rings + 1)] for i in range(rings + 1)]
+        quads += [
+            [grid[i][j], grid[i][j + 1], grid[i + 1][j], grid[i + 1][j + 1]]
+            for i in range(rings) for j in range(rings)
+        ]
+    flat = np.array(plane)
+    n = len(flat)
+    points = np.concatenate([np.column_stack([flat, np.full(n, float(z))]) for z in range(layers + 1)])
+    base = np.array(quads)
+    cells = np.concatenate([
+        np.stack([base + z * n, base + (z + 1) * n], axis=2).reshape(-1, 8) for z in range(layers)
+    ])
+    points += noise * np.random.default_rng(seed).standard_normal(points.shape)
+    return points, cells
+
+
+def tetrahedron() -> tuple[np.ndarray, np.ndarray]:
+    """One tetrahedron cut into four hexahedra."""
+    return split_tetrahedra(TETRAHEDRON.vertices, np.array([[0, 1, 2, 3]]))
+
+
+def split_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Four hexahedra per tetrahedron, by vertices, edge midpoints, face centroids and the body centroid."""
+    numbers: dict[frozenset[int], int] = {}
+    points: list[np.ndarray] = []
+
+    def at(*members: int) -> int:
+        key = frozenset(members)
+        if key not in numbers:
+            numbers[key] = len(points)
+            points.append(vertices[list(members)].mean(axis=0))
+        return numbers[key]
+
+    cells = []
+    for tet in tetrahedra.tolist():
+        for k, (p, q, o) in enumerate(((2, 1, 3), (0, 2, 3), (1, 0, 3), (0, 1, 2))):
+            m, p, q, o = (tet[i] for i in (k, p, q, o))
+            cells.append([at(m), at(m, o), at(m, q), at(m, q, o), at(m, p), at(m, p, o), at(m, p, q), at(*tet)])
+    return np.array(points), np.array(cells)
+
+
+def cross_of_tetrahedra(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """n tetrahedra around a common edge, each cut in four: interior vertices with mixed valences."""
+    turn = 2 * np.pi * np.arange(n) / n
+    rim = np.column_stack([np.cos(turn), np.sin(turn), 0.2 * np.cos(3 * turn)])
+    vertices = np.concatenate([[[0, 0, -1], [0, 0, 1.0]], rim])
+    tets = np.array([[0, 1, 2 + k, 2 + (k + 1) % n] for k in range(n)])
+    return split_tetrahedra(vertices, tets)
