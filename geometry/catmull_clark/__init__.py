@@ -1,1 +1,6 @@
-"""Catmull-Clark solids: smooth volumes and spline spaces on any hexahedral mesh."""
+"""Geometry source for hexahedral meshes: Catmull-Clark solids, smooth volumes with a spline space on any hex mesh."""
+
+from geometry.catmull_clark.mesh import HexMesh, hex_mesh, read_hexes
+from geometry.catmull_clark.source import Settings, build, domain_of, name, reads, refine
+
+__all__ = ["HexMesh", "Settings", "build", "domain_of", "hex_mesh", "name", "read_hexes", "reads", "refine"]

@@ -24,7 +24,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from geometry.catmull_clark.neighbourhood import TURNED_FACES, Classes, classify
-from geometry.catmull_clark.pieces import Pieces, pieces_of
+from geometry.catmull_clark.pieces import pieces_of
 from geometry.catmull_clark.topology import SMOOTH, Topology
 from iga.bernstein import bernstein
 from iga.block import Block, Kronecker, Patterns

@@ -1,0 +1,354 @@
+r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
+
+    interpolate   "auto" (default), "pia", "conjugate", "direct", "pushback" or "none"
+    features      "auto" (default), "none" or an angle in degrees
+    depth         levels of subdivision of irregular cells before they are closed; "auto" (default)
+    repair        move control points until every cell is certified (default false)
+    pillow        put one new layer of cells under the whole boundary first (default false)
+    lambda, mu, gamma    shape parameters of push-back, in (0, 1)
+    relaxation    factor of PIA, in (0, 2)
+    attributes    names of point data to carry, separated by commas; by default all
+
+"auto" is PIA where the result is valid. Interpolation overshoots on coarse meshes and can fold cells of a mesh that is
+itself fine; where it folds cells that the approximating volume keeps valid, interior control points nearby are moved,
+so that the boundary is interpolated exactly and interior vertices as far as validity allows. The other settings
+interpolate every vertex, come what may. ``repair`` does the same wherever cells are invalid, with boundary points if
+interior ones do not suffice.
+
+Refinement is one subdivision step of control points and attributes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.catmull_clark import interpolation
+from geometry.catmull_clark.domain import build_domain
+from geometry.catmull_clark.features import smooth_folds, with_features
+from geometry.catmull_clark.interpolation import Interpolation
+from geometry.catmull_clark.lattice import limit_matrix
+from geometry.catmull_clark.mesh import SUFFIXES, HexMesh, read_hexes
+from geometry.catmull_clark.subdivision import subdivide
+from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology, build_topology, with_kinds
+from geometry.catmull_clark.untangling import closures, invalid_cells, untangle
+from iga.domain import Domain, Provenance
+from iga.errors import InputError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+name = "catmull_clark"
+METHODS = ("auto", "pia", "conjugate", "direct", "pushback", "none")
+SPACES = ("catmull_clark",)
+PIECES = 30_000
+"""Pieces up to which ``depth="auto"`` subdivides irregular cells."""
+_GROWTH = (1, 8, 20)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of a build; see the module docstring."""
+
+    interpolate: str = "auto"
+    features: str | float = "auto"
+    depth: int | None = None
+    repair: bool = False
+    pillow: bool = False
+    lam: float = 0.25
+    mu: float = 0.125
+    gamma: float = 0.0625
+    relaxation: float = 1.0
+    space: str = "catmull_clark"
+    attributes: tuple[str, ...] | None = None
+
+
+def reads(path: str | Path) -> bool:
+    """Whether a file looks like a hexahedral mesh: by its ending, and by a word in it where endings are shared."""
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES or not path.is_file():
+        return False
+    if path.suffix.lower() == ".mesh":
+        return b"Hexahedra" in path.read_bytes()
+    try:
+        read_hexes(path)
+    except InputError:
+        return False
+    return True
+
+
+def build(path: str | Path, **parameters: Any) -> Domain:
+    """Domain from a file with a hexahedral mesh.
+
+    Parameters
+    ----------
+    path : a mesh that meshio reads.
+    parameters : see the module docstring.
+
+    Raises
+    ------
+    InputError : an unknown or ill-typed parameter, a file that cannot be read (`FormatError`) or is no conforming
+        mesh of hexahedra.
+    """
+    settings = parse(parameters)
+    mesh = read_hexes(path)
+    return domain_of(mesh, settings, Path(path).name)
+
+
+def domain_of(mesh: HexMesh, settings: Settings | None = None, source: str = "") -> Domain:
+    """Domain of a mesh in memory.
+
+    Parameters
+    ----------
+    source : name of the input, for the provenance.
+    """
+    settings = settings or Settings()
+    attributes = _chosen(mesh, settings.attributes)
+    if settings.pillow:
+        raise InputError("pillow is not available yet; use features=auto")
+    topology = with_features(mesh.topology, mesh.points, settings.features)
+    given, columns = _stack(mesh.points, attributes)
+    result = _interpolate(topology, given, settings)
+    control, moved, invalid = _validate(result, mesh.points, settings, len(given))
+    values = np.column_stack([control, result.values[:, 3:]])
+    report = _report(mesh, topology, result, settings)
+    report |= {"moved_vertices": int(moved), "invalid_closures": int(invalid)}
+    if moved:
+        report |= _errors(result.topology, values, given)
+    depth = automatic_depth(result.topology) if settings.depth is None else settings.depth
+    parameters = {k: v for k, v in vars(settings).items() if k != "attributes"} | {"depth": depth}
+    provenance = Provenance(name, source, parameters)
+    carried = {key: _column(values, at, mesh.attributes[key]) for key, at in columns.items()}
+    return build_domain(result.topology, values[:, :3].copy(), depth, carried, provenance, report)
+
+
+def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
+    """Subdivide control points and attributes; the limit volume stays.
+
+    Raises
+    ------
+    InputError : elevation is asked for, or the domain did not come from this source.
+    """
+    if elevate:
+        raise InputError("Catmull-Clark solids cannot be elevated; they are cubic")
+    if levels < 0:
+        raise InputError(f"cannot refine {levels} times")
+    topology = stored_topology(domain)
+    points = domain.points
+    attributes = {key: np.asarray(values) for key, values in domain.attributes.items()}
+    for _ in range(levels):
+        topology, S = subdivide(topology)
+        points = S @ points
+        attributes = {key: S @ values for key, values in attributes.items()}
+    origin = replace(domain.provenance, arrays={})
+    depth = int(domain.provenance.parameters["depth"])
+    kept = {k: v for k, v in domain.report.items() if k in _LASTING}
+    report = kept | {"levels": int(domain.report.get("levels", 0)) + levels}
+    return build_domain(topology, points, depth, attributes, origin, report)
+
+
+_LASTING = ("interpolation_error", "interpolation_error_boundary", "mirrored_cells", "interpolate", "moved_vertices")
+
+
+def stored_topology(domain: Domain) -> Topology:
+    """Topology and kinds from what a domain carries.
+
+    Raises
+    ------
+    InputError : the domain does not carry them.
+    """
+    arrays = domain.provenance.arrays
+    if domain.provenance.source != name or not {"hexes", "vertex_kind", "creases"} <= set(arrays):
+        raise InputError("the domain carries no Catmull-Clark control mesh")
+    topology = build_topology(np.asarray(arrays["hexes"], dtype=np.int64), domain.space.n)
+    edge = topology.edge_kind.copy()
+    keys = topology.edges @ np.array([topology.vertices, 1])
+    creases = np.asarray(arrays["creases"], dtype=np.int64) @ np.array([topology.vertices, 1])
+    edge[np.searchsorted(keys, creases)] = CREASE
+    return with_kinds(topology, np.asarray(arrays["vertex_kind"], dtype=np.int8), edge, topology.face_kind)
+
+
+def automatic_depth(topology: Topology) -> int:
+    """Deepest of 2, 1, 0 levels that keep the number of pieces moderate."""
+    irregular = int((~topology.regular_hexes).sum())
+    regular = len(topology.hexes) - irregular
+    for depth in (2, 1):
+        if regular + _GROWTH[depth] * irregular <= PIECES:
+            return depth
+    return 0
+
+
+def _stack(points: Array, attributes: Mapping[str, Array]) -> tuple[Array, dict[str, slice]]:
+    """Points and attributes as columns of one array (v, 3 + ..), and where each attribute is."""
+    parts, columns, at = [points], {}, 3
+    for key, values in attributes.items():
+        flat = values.reshape(len(values), -1)
+        columns[key] = slice(at, at + flat.shape[1])
+        parts.append(flat)
+        at += flat.shape[1]
+    return np.concatenate(parts, axis=1), columns
+
+
+def _column(values: Array, at: slice, like: Array) -> Array:
+    return np.ascontiguousarray(values[:, at] if like.ndim == 2 else values[:, at.start])
+
+
+def _chosen(mesh: HexMesh, wanted: tuple[str, ...] | None) -> dict[str, Array]:
+    if wanted is None:  # names with a colon are bookkeeping of file formats
+        return {key: values for key, values in mesh.attributes.items() if ":" not in key}
+    missing = [key for key in wanted if key not in mesh.attributes]
+    if missing:
+        there = ", ".join(mesh.attributes) or "none"
+        raise InputError(f"the mesh has no attribute {missing[0]!r}; there are: {there}")
+    return {key: mesh.attributes[key] for key in wanted}
+
+
+def _interpolate(topology: Topology, given: Array, settings: Settings) -> Interpolation:
+    """Interpolate all columns at once, each scaled to its own range (the points share one)."""
+    size = np.ptp(given, axis=0)
+    size[:3] = interpolation.diagonal(given[:, :3])
+    size[size == 0.0] = 1.0
+    scaled = given / size
+    method = settings.interpolate
+    if method in ("auto", "pia"):
+        result = interpolation.pia(topology, scaled, settings.relaxation)
+        if len(result.singular) and result.error > 1e-10:
+            method = "pushback"  # PIA has no fixed point here; push-back interpolates on the refined mesh
+    if method == "conjugate":
+        result = interpolation.conjugate(topology, scaled)
+    elif method == "direct":
+        result = interpolation.direct(topology, scaled)
+    elif method == "pushback":
+        result = interpolation.push_back(topology, scaled, settings.lam, settings.mu, settings.gamma)
+    elif method == "none":
+        result = interpolation.plain(topology, scaled)
+    return replace(result, values=result.values * size)
+
+
+def _validate(result: Interpolation, points: Array, settings: Settings, vertices: int) -> tuple[Array, int, int]:
+    """Control points moved where the settings ask for it, how many were, and how many closures stay invalid."""
+    control = result.values[:, :3].copy()
+    t = result.topology
+    if settings.interpolate != "auto" and not settings.repair:
+        return control, 0, -1
+    reference = points if t.vertices == len(points) else control
+    made = closures(t, reference)
+    invalid = invalid_cells(made, control)
+    count = len(invalid)
+    if count and not settings.repair:
+        # Cells that are invalid already without interpolation are the input's own.
+        own = invalid_cells(made, reference, invalid)
+        invalid = np.setdiff1d(invalid, own)
+        moved = untangle(made, control, invalid)
+        count = len(invalid_cells(made, moved.control, None)) if len(own) else len(moved.invalid)
+        return moved.control, len(moved.moved), count
+    total = np.zeros(t.vertices, dtype=bool)
+    for boundary in (False, True):
+        if count:
+            moved = untangle(made, control, invalid, boundary)
+            control, invalid, count = moved.control, moved.invalid, len(moved.invalid)
+            total[moved.moved] = True
+    return control, int(total.sum()), count
+
+
+def _errors(topology: Topology, values: Array, given: Array) -> dict[str, float]:
+    """Largest distance of limit points from the given vertices, over the diagonal: everywhere and on the boundary."""
+    limit = (limit_matrix(topology) @ values[:, :3])[: len(given)]
+    distance = np.linalg.norm(limit - given[:, :3], axis=1) / interpolation.diagonal(given[:, :3])
+    outer = topology.vertex_kind[: len(given)] != INTERIOR
+    return {
+        "interpolation_error": float(distance.max()),
+        "interpolation_error_boundary": float(distance[outer].max()),
+    }
+
+
+def _report(mesh: HexMesh, topology: Topology, result: Interpolation, settings: Settings) -> dict[str, Any]:
+    odd = ~topology.regular_edges & (topology.edge_kind == INTERIOR)
+    folds = smooth_folds(topology)
+    report: dict[str, Any] = {
+        "interpolate": settings.interpolate,
+        "interpolation_error": result.error,
+        "interpolation_error_boundary": result.error,
+        "iterations": {key: len(steps) for key, steps in result.history.items()},
+        "convergence_factor": result.factor,
+        "singular_boundary": len(result.singular),
+        "mirrored_cells": mesh.mirrored,
+        "extraordinary_edges": int(odd.sum()),
+        "crease_edges": int((topology.edge_kind == CREASE).sum()),
+        "corners": int((topology.vertex_kind == CORNER).sum()),
+        "smooth_boundary_vertices": int((topology.vertex_kind == SMOOTH).sum()),
+        "folded_cells": len(folds),
+    }
+    if len(folds):
+        report["folded_cells_first"] = folds[:20].tolist()
+        report["folded_cells_cure"] = "their Jacobian vanishes on a smooth boundary edge: use features=auto"
+    if len(result.singular):
+        report["singular_boundary_note"] = "all its vertices have three boundary faces, where PIA has no fixed point"
+    return report
+
+
+def parse(parameters: Mapping[str, Any]) -> Settings:
+    """Settings from parameters as a command line gives them (texts) or as Python values.
+
+    Raises
+    ------
+    InputError : unknown parameter or value.
+    """
+    renamed = {"lam" if key == "lambda" else key: value for key, value in parameters.items()}
+    unknown = sorted(set(renamed) - set(Settings.__dataclass_fields__))
+    if unknown:
+        there = ", ".join("lambda" if key == "lam" else key for key in Settings.__dataclass_fields__)
+        raise InputError(f"the source {name} has no parameter {unknown[0]!r}; there are: {there}")
+    made: dict[str, Any] = {}
+    for key, value in renamed.items():
+        if key == "depth":
+            made[key] = None if str(value) == "auto" else _whole(value)
+        elif key in ("repair", "pillow"):
+            made[key] = _truth(value, key)
+        elif key in ("lam", "mu", "gamma", "relaxation"):
+            made[key] = _number(value, "lambda" if key == "lam" else key)
+        elif key == "attributes":
+            parts = value.split(",") if isinstance(value, str) else value
+            made[key] = tuple(part.strip() for part in parts if part.strip())
+        elif key == "features":
+            made[key] = value if str(value) in ("auto", "none") else _number(value, "features (auto, none, or degrees)")
+        else:
+            made[key] = str(value)
+    settings = Settings(**made)
+    for key, allowed in (("interpolate", METHODS), ("space", SPACES)):
+        if getattr(settings, key) not in allowed:
+            raise InputError(f"{key} is {getattr(settings, key)!r}; it must be one of {', '.join(allowed)}")
+    for key in ("lam", "mu", "gamma"):
+        if not 0.0 < getattr(settings, key) < 1.0:
+            shown = "lambda" if key == "lam" else key
+            raise InputError(f"{shown} must lie between 0 and 1, not {getattr(settings, key):g}")
+    return settings
+
+
+def _whole(value: Any) -> int:
+    try:
+        depth = int(str(value))
+    except ValueError:
+        depth = -1
+    if not 0 <= depth <= 6:
+        raise InputError(f"depth must be auto or a whole number from 0 to 6, not {value!r}")
+    return depth
+
+
+def _number(value: Any, key: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{key} must be a number, not {value!r}") from None
+
+
+def _truth(value: Any, key: str) -> bool:
+    text = str(value).lower()
+    if text not in ("true", "false", "1", "0", "yes", "no"):
+        raise InputError(f"{key} must be true or false, not {value!r}")
+    return text in ("true", "1", "yes")
