@@ -82,7 +82,7 @@ def pieces_of(topology: Topology, representatives: Index, depth: int, join: bool
     return _join(result) if join and depth else result
 
 
-def _local(topology: Topology, part: Neighbourhood) -> tuple[Topology, Index]:
+def local_topology(topology: Topology, part: Neighbourhood) -> tuple[Topology, Index]:
     """Topology of the neighbourhoods side by side, and the row of each cell itself, turned into its frame."""
     slots = len(part.vertex)
     asis = build_topology(part.slots, slots)
@@ -98,7 +98,7 @@ def _local(topology: Topology, part: Neighbourhood) -> tuple[Topology, Index]:
 
 
 def _batch(topology: Topology, part: Neighbourhood, depth: int) -> list[Pieces]:
-    local, cell = _local(topology, part)
+    local, cell = local_topology(topology, part)
     matrix = csr_array(eye_array(local.vertices))
     owner = np.arange(len(cell))
     corner = np.zeros((len(cell), 3))
@@ -119,13 +119,13 @@ def _batch(topology: Topology, part: Neighbourhood, depth: int) -> list[Pieces]:
         if done.all():
             break
         cell, owner, corner = cell[~done], owner[~done], corner[~done]
-        local, matrix, cell = _refine(local, matrix, cell)
+        local, matrix, cell = refine_locally(local, matrix, cell)
         owner = np.repeat(owner, 8)
         corner = (corner[:, None] + 0.5 ** (level + 1) * _STEPS).reshape(-1, 3)
     return made
 
 
-def _refine(local: Topology, matrix: csr_array, cell: Index) -> tuple[Topology, csr_array, Index]:
+def refine_locally(local: Topology, matrix: csr_array, cell: Index) -> tuple[Topology, csr_array, Index]:
     """Subdivide, keeping only what the children of ``cell`` need."""
     rows = refinement_rows(local)
     children = (8 * cell[:, None] + np.arange(8)).ravel()

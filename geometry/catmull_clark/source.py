@@ -11,8 +11,8 @@ r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
 
 "auto" is PIA where the result is valid. Interpolation overshoots on coarse meshes and can fold cells of a mesh that is
 itself fine; where it folds cells that the approximating volume keeps valid, interior control points nearby are moved,
-so that the boundary is interpolated exactly and interior vertices as far as validity allows. The other settings
-interpolate every vertex, come what may. ``repair`` does the same wherever cells are invalid, with boundary points if
+so that the boundary is interpolated exactly and interior vertices as far as validity allows; a mesh that folds without
+interpolation is left alone. The other settings interpolate every vertex, come what may. ``repair`` does the same wherever cells are invalid, with boundary points if
 interior ones do not suffice.
 
 Refinement is one subdivision step of control points and attributes.
@@ -241,12 +241,10 @@ def _validate(result: Interpolation, points: Array, settings: Settings, vertices
     invalid = invalid_cells(made, control)
     count = len(invalid)
     if count and not settings.repair:
-        # Cells that are invalid already without interpolation are the input's own.
-        own = invalid_cells(made, reference, invalid)
-        invalid = np.setdiff1d(invalid, own)
+        if len(invalid_cells(made, reference)):
+            return control, 0, count  # the input itself folds: that is told, and mended only if asked for
         moved = untangle(made, control, invalid)
-        count = len(invalid_cells(made, moved.control, None)) if len(own) else len(moved.invalid)
-        return moved.control, len(moved.moved), count
+        return moved.control, len(moved.moved), len(moved.invalid)
     total = np.zeros(t.vertices, dtype=bool)
     for boundary in (False, True):
         if count:

@@ -24,6 +24,7 @@ from scipy.sparse import csr_array
 
 from geometry.catmull_clark.domain import CUBIC
 from geometry.catmull_clark.lattice import Rows, bezier_matrix, bezier_rows
+from geometry.catmull_clark.mean_ratio import lowest, mean_ratio, tables
 from geometry.catmull_clark.topology import CREASE, EDGES, INTERIOR, Topology, incidence
 from iga.block import Block
 from iga.cells import HEXAHEDRON
@@ -34,8 +35,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 EPSILON = 0.05
-_SAMPLES = np.stack(np.meshgrid(*[np.array([0.0, 0.28, 0.72, 1.0])] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-_SLOPES = np.ascontiguousarray(CUBIC.tabulate(_SAMPLES, 1)[1].transpose(1, 0, 2).reshape(64, -1))
+_COARSE = tables(np.array([0.0, 0.5, 1.0]))
+_FINE = tables(np.array([0.0, 0.17, 0.5, 0.83, 1.0]))
 _AXIS_EDGES = [
     [k for k, (a, b) in enumerate(EDGES) if HEXAHEDRON.vertices[b, d] != HEXAHEDRON.vertices[a, d]] for d in range(3)
 ]
@@ -97,7 +98,7 @@ def untangle(
     control : (v, 3) control points.
     invalid : cells to start from, as `invalid_cells` finds them.
     boundary : whether smooth and crease boundary points may move too (corners never do).
-    rounds : most rounds of optimisation.
+    rounds : most rounds of optimisation; three without progress end it.
     spring : weight of the spring to the given points.
     reach : rings of cells around the invalid ones whose points may move; grows every second round.
     """
@@ -107,8 +108,9 @@ def untangle(
     start = control.copy()
     around = incidence(t.hexes, t.vertices)
     concerned = np.zeros(len(t.hexes), dtype=bool)
+    best, since = len(invalid), 0
     for step in range(rounds):
-        if not len(invalid):
+        if not len(invalid) or since == 3:
             break
         concerned[invalid] = True
         ring = concerned.copy()
@@ -121,8 +123,10 @@ def untangle(
             break
         cells = np.flatnonzero(_grow(around, around @ free > 0))
         weight = spring * 0.3**step
-        control = _minimise(made, control, start, np.flatnonzero(free), cells, weight)
+        control = _minimise(made, control, start, np.flatnonzero(free), cells, weight, _FINE if step % 2 else _COARSE)
         invalid = invalid_cells(made, control, cells)
+        since = 0 if len(invalid) < best else since + 1
+        best = min(best, len(invalid))
     return Untangled(control, invalid, np.flatnonzero((control != start).any(axis=1)))
 
 
@@ -133,75 +137,32 @@ def _grow(around: csr_array, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _minimise(
-    made: Closures, control: Array, start: Array, free: Index, cells: Index, spring: float
+    made: Closures, control: Array, start: Array, free: Index, cells: Index, spring: float,
+    samples: tuple[Array, Array],
 ) -> Array:
     used, index = np.unique(made.rows.cells[cells], return_inverse=True)
-    index = index.reshape(-1, 64)
+    index = np.ascontiguousarray(index.reshape(-1, 64))
     matrix = made.matrix[used]
     columns = matrix[:, free].tocsr()
-    gather = csr_array(
-        (np.ones(index.size), (index.ravel(), np.arange(index.size))), shape=(len(used), index.size)
-    )
+    rows = columns.T.tocsr()
     base = matrix @ control
-    lengths = made.lengths[cells]
+    inverse = np.ascontiguousarray(1.0 / made.lengths[cells])
     size = np.full(made.topology.vertices, np.inf)
-    np.minimum.at(size, made.topology.hexes[cells].ravel(), np.repeat(lengths.min(axis=1), 8))
+    np.minimum.at(size, made.topology.hexes[cells].ravel(), np.repeat(made.lengths[cells].min(axis=1), 8))
     stiff = spring / size[free][:, None] ** 2
     origin = control[free]
 
     def energy(x: Array) -> tuple[float, Array]:
         move = x.reshape(-1, 3)
-        b = (base + columns @ move)[index]
-        value, slope = _mean_ratio(b, lengths, delta)
-        g = columns.T @ (gather @ slope.reshape(-1, 3))
+        slope = np.zeros_like(base)
+        value = mean_ratio(base + columns @ move, index, inverse, delta, *samples, slope)
         pull = origin + move - start[free]
-        return value + float((stiff * pull**2).sum()), (g + 2.0 * stiff * pull).ravel()
+        return value + float((stiff * pull**2).sum()), (rows @ slope + 2.0 * stiff * pull).ravel()
 
     move = np.zeros(3 * len(free))
-    lowest = _determinants((base + columns @ move.reshape(-1, 3))[index], lengths)[2].min()
-    delta = float(np.sqrt(EPSILON * (EPSILON - lowest))) if lowest < EPSILON else 0.0
+    worst = float(lowest(base, index, inverse, *samples).min())
+    delta = float(np.sqrt(EPSILON * (EPSILON - worst))) if worst < EPSILON else 0.0
     done = minimize(energy, move, jac=True, method="L-BFGS-B", options={"maxiter": 60, "maxcor": 12, "ftol": 1e-7})
     result = control.copy()
     result[free] += done.x.reshape(-1, 3)
     return result
-
-
-def _determinants(b: Array, lengths: Array) -> tuple[Array, Array, Array]:
-    """S (e, q, 3c, 3d), its cofactors and determinants (e, q) at the sample points."""
-    J = (b.transpose(0, 2, 1) @ _SLOPES).reshape(len(b), 3, -1, 3).transpose(0, 2, 1, 3)
-    S = J / lengths[:, None, None, :]
-    columns = [S[..., d] for d in range(3)]
-    cofactors = np.stack([_cross(columns[1], columns[2]), _cross(columns[2], columns[0]),
-                          _cross(columns[0], columns[1])], axis=-1)
-    return S, cofactors, (S[..., 0] * cofactors[..., 0]).sum(axis=-1)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.stack(
-        [
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ],
-        axis=-1,
-    )
-
-
-def _mean_ratio(b: Array, lengths: Array, delta: float) -> tuple[float, Array]:
-    """Energy and its gradient with respect to Bezier points (e, 64, 3)."""
-    S, cofactors, sigma = _determinants(b, lengths)
-    root = np.sqrt(sigma**2 + 4.0 * delta**2)
-    if delta == 0.0 and (sigma <= 0.0).any():
-        return np.inf, np.zeros_like(b)
-    # For sigma < 0 the printed form of h cancels.
-    h = np.where(sigma > 0.0, 0.5 * (sigma + root), 2.0 * delta**2 / np.maximum(root - sigma, 1e-300))
-    square = (S**2).sum(axis=(2, 3))
-    eta = square / (3.0 * h ** (2.0 / 3.0))
-    q = sigma.shape[1]
-    # d(eta^2) = 2 eta^2 (2 S : dS / |S|^2 - (2/3) dsigma / root)
-    factor = 2.0 * eta**2 / q
-    dS = factor[..., None, None] * (2.0 * S / square[..., None, None] - (2.0 / 3.0) * cofactors / root[..., None, None])
-    dJ = dS / lengths[:, None, None, :]
-    slope = dJ.transpose(0, 2, 1, 3).reshape(len(b), 3, -1) @ _SLOPES.T
-    return float((eta**2).sum() / q), slope.transpose(0, 2, 1)
-

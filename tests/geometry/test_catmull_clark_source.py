@@ -1,0 +1,158 @@
+"""The source: building, settings, refinement, validity, saving."""
+
+from __future__ import annotations
+
+import meshio
+import numpy as np
+import pytest
+
+import geometry.catmull_clark as source
+from geometry.catmull_clark import mean_ratio
+from geometry.catmull_clark.features import with_features
+from geometry.catmull_clark.mesh import hex_mesh
+from geometry.catmull_clark.source import Settings, parse
+from geometry.catmull_clark.untangling import closures, invalid_cells, untangle
+from iga.assembly import volume
+from iga.cells import HEXAHEDRON
+from iga.certificate import quality
+from iga.domain import check
+from iga.errors import InputError
+from iga.store import load, save
+from tests.geometry.hexes import ball, box, fan
+
+
+def _write(path, points: np.ndarray, cells: np.ndarray, **data: np.ndarray):
+    meshio.write(path, meshio.Mesh(points, [("hexahedron", cells[:, list(HEXAHEDRON.vtk)])], point_data=data))
+    return path
+
+
+@pytest.mark.parametrize("interpolate", ["auto", "pia", "conjugate", "direct", "pushback", "none"])
+def test_methods_build_refine_and_save(tmp_path, interpolate: str) -> None:
+    points, cells = fan(5)
+    given = np.random.default_rng(3).random(len(points))
+    path = _write(tmp_path / "fan.vtk", points, cells, stiffness=given, triple=np.column_stack([given, -given, given]))
+    assert source.reads(path)
+    domain = source.build(path, interpolate=interpolate, features="auto", depth="1")
+    check(domain)
+    assert (domain.report["interpolation_error"] < 1e-13) == (interpolate != "none")
+    assert domain.attributes["triple"].shape == (domain.space.n, 3)
+    np.testing.assert_allclose(domain.attributes["triple"][:, 1], -domain.attributes["stiffness"], atol=1e-12)
+    assert quality(domain)["refuted"] == 0
+    save(domain, tmp_path / "domain.npz")
+    again = load(tmp_path / "domain.npz")
+    finer = source.refine(again)
+    check(finer)
+    assert finer.report["levels"] == 1
+    assert sorted(finer.boundaries) == sorted(domain.boundaries)
+    assert finer.provenance.arrays["hexes"].shape[0] == 8 * domain.provenance.arrays["hexes"].shape[0]
+    assert abs(volume(finer) / volume(domain) - 1) < 1e-3
+
+
+def test_regular_volume_does_not_change_by_refinement() -> None:
+    points, cells = box(3, 3, 3)
+    points = points + 0.05 * np.sin(points[:, [1, 2, 0]] * 2.0)
+    domain = source.domain_of(hex_mesh(points, cells))
+    assert abs(volume(source.refine(domain, 2), 5) / volume(domain, 5) - 1) < 1e-13
+
+
+def test_singular_boundary_is_solved_by_push_back() -> None:
+    points, cells = ball()
+    points[8] += 0.1
+    domain = source.domain_of(hex_mesh(points, cells), Settings(features="none", interpolate="pia"))
+    assert domain.report["singular_boundary"] == 8 or domain.report["interpolation_error"] < 1e-13
+    assert domain.report["interpolation_error"] < 1e-13
+    assert domain.report["cells"] == 56
+
+
+def test_smooth_folds_are_told() -> None:
+    points, cells = box(3, 3, 3)
+    domain = source.domain_of(hex_mesh(points, cells), Settings(features="none", interpolate="none"))
+    assert domain.report["folded_cells"] == 20
+    assert "features" in domain.report["folded_cells_cure"]
+    found = quality(domain)
+    assert found["undecided"] + found["refuted"] >= 20
+
+
+def test_settings_are_checked() -> None:
+    for parameters, match in (
+        ({"lambda": 1.5}, "lambda must lie"), ({"mu": "x"}, "mu must be a number"), ({"depth": 9}, "depth"),
+        ({"colour": 1}, "no parameter 'colour'"), ({"interpolate": "best"}, "interpolate"),
+        ({"repair": "maybe"}, "repair"), ({"features": "sharp"}, "features"), ({"space": "other"}, "space"),
+    ):
+        with pytest.raises(InputError, match=match) as caught:
+            parse(parameters)
+        assert "\n" not in str(caught.value)
+    made = parse({"repair": "true", "depth": "auto", "features": "30", "attributes": "a, b"})
+    assert (made.repair, made.depth, made.features, made.attributes) == (True, None, 30.0, ("a", "b"))
+    mesh = hex_mesh(*ball())
+    with pytest.raises(InputError, match="no attribute 'a'"):
+        source.domain_of(mesh, made)
+    with pytest.raises(InputError, match="elevated"):
+        source.refine(source.domain_of(mesh), elevate=1)
+
+
+def test_gradient_of_the_mean_ratio() -> None:
+    points, cells = fan(5)
+    made = closures(with_features(hex_mesh(points, cells).topology, points), points)
+    index = np.ascontiguousarray(made.rows.cells[:3])
+    rng = np.random.default_rng(7)
+    b = made.matrix @ (points + 0.01 * rng.standard_normal(points.shape))
+    inverse = 1.0 / made.lengths[:3]
+    V, G = mean_ratio.tables(np.array([0.0, 0.4, 1.0]))
+    for delta in (0.0, 0.3):
+        gradient, scratch = np.zeros_like(b), np.zeros_like(b)
+        mean_ratio.mean_ratio(b, index, inverse, delta, V, G, gradient)
+        step = np.zeros_like(b)
+        step[np.unique(index)] = rng.standard_normal((len(np.unique(index)), 3))
+        h = 1e-6
+        ahead = mean_ratio.mean_ratio(b + h * step, index, inverse, delta, V, G, scratch)
+        behind = mean_ratio.mean_ratio(b - h * step, index, inverse, delta, V, G, scratch)
+        np.testing.assert_allclose((ahead - behind) / (2 * h), (gradient * step).sum(), rtol=1e-6)
+    folded = b.copy()
+    folded[:, 0] *= -1
+    assert mean_ratio.mean_ratio(folded, index, inverse, 0.0, V, G, np.zeros_like(b)) == np.inf
+    assert np.isfinite(mean_ratio.mean_ratio(folded, index, inverse, 0.1, V, G, np.zeros_like(b)))
+
+
+def test_untangling_moves_only_what_it_must() -> None:
+    points, cells = box(4, 4, 4)
+    t = with_features(hex_mesh(points, cells).topology, points)
+    control = points.copy()
+    inside = int(np.flatnonzero((points == 2).all(axis=1))[0])
+    control[inside] += [3.5, 3.0, 0.5]
+    made = closures(t, points)
+    invalid = invalid_cells(made, control)
+    assert len(invalid)
+    found = untangle(made, control, invalid)
+    assert not len(found.invalid)
+    assert not len(invalid_cells(made, found.control))
+    outer = t.vertex_kind < 3
+    np.testing.assert_array_equal(found.control[outer], control[outer])
+
+
+def test_folds_of_interpolation_are_undone_but_those_of_the_input_are_told() -> None:
+    points, cells = box(4, 4, 4)
+    inside = int(np.flatnonzero((points == 2).all(axis=1))[0])
+    points[inside] += [0.8, 0.7, 0.6]
+    strict = source.domain_of(hex_mesh(points, cells), Settings(interpolate="pia"))
+    assert quality(strict)["refuted"] > 0
+    assert strict.report["interpolation_error"] < 1e-13
+    relaxed = source.domain_of(hex_mesh(points, cells))
+    assert quality(relaxed)["certified"] == 64
+    assert relaxed.report["moved_vertices"] > 0
+    assert relaxed.report["interpolation_error_boundary"] < 1e-13
+    points[inside] = [5.5, 5.5, 5.5]
+    inverted = hex_mesh(points, cells)
+    assert quality(source.domain_of(inverted, Settings(interpolate="none")))["refuted"] > 0
+    assert quality(source.domain_of(inverted))["refuted"] > 0
+    assert quality(source.domain_of(inverted, Settings(repair=True)))["certified"] == 64
+
+
+def test_rod_and_ellipsoid(data) -> None:
+    for file, cells in (("rod.vtk", 1280), ("ellipsoid.mesh", 6816)):
+        domain = source.build(data / "hex" / file, depth=0)
+        found = quality(domain)
+        assert (found["certified"], found["refuted"], found["undecided"]) == (cells, 0, 0)
+        assert domain.report["interpolation_error_boundary"] < 1e-13
+    inverted = source.build(data / "hex" / "rod_pillowed_inverted.vtk", interpolate="none", depth=0)
+    assert quality(inverted)["refuted"] > 0
