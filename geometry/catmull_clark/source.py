@@ -4,7 +4,6 @@ r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
     features      "auto" (default), "none" or an angle in degrees
     depth         levels of subdivision of irregular cells before they are closed; "auto" (default)
     repair        move control points until every cell is certified (default false)
-    pillow        put one new layer of cells under the whole boundary first (default false)
     lambda, mu, gamma    shape parameters of push-back, in (0, 1)
     relaxation    factor of PIA, in (0, 2)
     attributes    names of point data to carry, separated by commas; by default all
@@ -12,8 +11,8 @@ r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
 "auto" is PIA where the result is valid. Interpolation overshoots on coarse meshes and can fold cells of a mesh that is
 itself fine; where it folds cells that the approximating volume keeps valid, interior control points nearby are moved,
 so that the boundary is interpolated exactly and interior vertices as far as validity allows; a mesh that folds without
-interpolation is left alone. The other settings interpolate every vertex, come what may. ``repair`` does the same wherever cells are invalid, with boundary points if
-interior ones do not suffice.
+interpolation is left alone. The other settings interpolate every vertex, come what may. ``repair`` does the same
+wherever cells are invalid, with boundary points if interior ones do not suffice.
 
 Refinement is one subdivision step of control points and attributes.
 """
@@ -59,7 +58,6 @@ class Settings:
     features: str | float = "auto"
     depth: int | None = None
     repair: bool = False
-    pillow: bool = False
     lam: float = 0.25
     mu: float = 0.125
     gamma: float = 0.0625
@@ -109,8 +107,6 @@ def domain_of(mesh: HexMesh, settings: Settings | None = None, source: str = "")
     """
     settings = settings or Settings()
     attributes = _chosen(mesh, settings.attributes)
-    if settings.pillow:
-        raise InputError("pillow is not available yet; use features=auto")
     topology = with_features(mesh.topology, mesh.points, settings.features)
     given, columns = _stack(mesh.points, attributes)
     result = _interpolate(topology, given, settings)
@@ -306,7 +302,7 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     for key, value in renamed.items():
         if key == "depth":
             made[key] = None if str(value) == "auto" else _whole(value)
-        elif key in ("repair", "pillow"):
+        elif key == "repair":
             made[key] = _truth(value, key)
         elif key in ("lam", "mu", "gamma", "relaxation"):
             made[key] = _number(value, "lambda" if key == "lam" else key)
