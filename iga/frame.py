@@ -140,17 +140,10 @@ class Frame:
         return np.ascontiguousarray(np.concatenate([N[None], np.moveaxis(dN, 2, 0)]))
 
     @cached_property
-    def place(self) -> dict[bool, NDArray[np.int32]]:
-        """Where entry (i, j) of an element matrix is, (n, n), for symmetric forms (True) and any (False)."""
-        n, b = self.block.n, self.block.basis.n
-        if self.factored and not self.dense:
-            return {s: tensor.places(*self.sizes[:3], s) for s in (True, False)}
-        full = np.arange(n * n, dtype=np.int32).reshape(n, n)
-        if self.dense:
-            return {True: full, False: full}
-        half = np.zeros((b, b), np.int32)
-        half[np.triu_indices(b)] = np.arange(b * (b + 1) // 2)
-        return {True: np.maximum(half, half.T), False: full}
+    def places(self) -> dict[bool, NDArray[np.int32]]:
+        """Where sum factorisation leaves entries of element matrices, symmetric (True) or any (False)."""
+        half, full = tensor.places(*self.sizes[:3])
+        return {True: half, False: full}
 
     @cached_property
     def ones(self) -> Array:
@@ -255,7 +248,8 @@ def add_diagonals(f: Frame, lo: int, hi: int, D: Array, vector: Array) -> None:
             C = f.dense.C[f.dense.pattern[lo:hi]]
             found = np.einsum("enb,enb->en", C @ K, C)[:, None]
         else:
-            found = np.ascontiguousarray(K[:, np.diagonal(f.place[True])])[:, None]
+            i, j = np.triu_indices(f.block.n)
+            found = np.ascontiguousarray(K[:, i == j])[:, None]
     local.add_vectors(found, dofs, scale, vector)
 
 
@@ -293,21 +287,25 @@ def add_matrices(f: Frame, lo: int, hi: int, D: Array, a: int, b: int, rows: Row
     """
     slots = rows.slots
     where = (
-        slots.order, slots.offset, slots.table[lo:hi], f.block.dofs[lo:hi], f.factors_of(lo, hi), rows.begin,
+        slots.offset, slots.table[lo:hi], f.block.dofs[lo:hi], f.factors_of(lo, hi), f.rational is not None, rows.begin,
         rows.length, rows.components,
     )
     symmetric = D.shape[1] == 10
-    pair: tuple[int, ...] = (a,) if symmetric else (a, b)
     if f.factored and f.dense is None:
         kernel = (tensor.symmetric if symmetric else tensor.general)(f.literal)
-        kernel(f.sizes, *f.products, f.pattern[lo:hi], D, f.place[symmetric], *where, *pair, slots.twice, rows.values)
+        pair: tuple[int, ...] = (a,) if symmetric else (a, b)
+        kernel(f.sizes, *f.products, f.pattern[lo:hi], D, f.places[symmetric], *where, *pair, slots.twice, rows.values)
         return
     K = _bernstein_matrices(f, lo, hi, D)
+    n = f.block.n
     if f.dense is not None:
         C = f.dense.C[f.dense.pattern[lo:hi]]
-        n = f.block.n
         K = (C @ K @ np.swapaxes(C, 1, 2)).reshape(-1, n * n)
-    tensor.scatter_matrices(K, f.place[symmetric], *where, a, b, slots.twice, rows.values)
+    i, j = np.triu_indices(n)
+    half = K.shape[1] != n * n
+    upper = (np.arange(len(i)) if half else i * n + j).astype(np.int32)
+    lower = upper if half else (j * n + i).astype(np.int32)
+    tensor.scatter_matrices(K, upper, lower, *where, a, b, slots.twice, rows.values)
 
 
 def _bernstein_matrices(f: Frame, lo: int, hi: int, D: Array) -> Array:
@@ -318,12 +316,10 @@ def _bernstein_matrices(f: Frame, lo: int, hi: int, D: Array) -> Array:
         # Rows of a matrix with one dense row per Bernstein function of each element.
         own = np.arange(m * b).reshape(m, b)
         half: Array = np.zeros((m * b, b))
-        order = np.arange(b, dtype=np.uint16)[None]
         begin, length = np.arange(m * b) * b, np.full(m * b, b)
         table, scale = np.zeros(m, np.int64), np.ones((m, b))
         offset = np.concatenate([np.arange(i, b) for i in range(b)]).astype(np.uint16)[None]
-        place = tensor.places(*f.sizes[:3], symmetric)
-        start = (*f.products, f.pattern[lo:hi], D, place, order, offset, table, own, scale)
+        start = (*f.products, f.pattern[lo:hi], D, f.places[symmetric], offset, table, own, scale, False)
         if symmetric:
             tensor.symmetric(f.literal)(f.sizes, *start, begin, length, 1, 0, False, half.reshape(-1))
             half = half.reshape(m, b, b)

@@ -38,13 +38,12 @@ class Slots:
 
     Attributes
     ----------
-    order : (k, n) local functions in ascending order of their numbers.
-    offset : (k, n (n+1)/2) place of column b in row a, for all pairs a <= b in that order, row by row.
+    offset : (k, n (n+1)/2) for each pair i <= j of local functions, row by row, the place of the larger function number
+        in the row of the smaller.
     table : (e,) which of the k each element has.
     twice : whether some element has one function twice (degenerate elements do).
     """
 
-    order: NDArray[np.uint16]
     offset: NDArray[Any]
     table: Index
     twice: bool
@@ -127,10 +126,9 @@ def _slots(dofs: Index, keys: NDArray[np.uint64], indptr: Index, indices: NDArra
     rank = np.argsort(representative)
     table = np.argsort(rank)[table.reshape(-1)]
     chosen = np.ascontiguousarray(dofs[representative[rank]])
-    order = np.empty((len(chosen), n), np.uint16)
     offset = np.empty((len(chosen), n * (n + 1) // 2), np.uint16 if longest < 2**16 else np.int32)
-    twice = run([partial(kernels.slots, chosen, indptr, indices, order, offset, *part) for part in ranges(len(chosen))])
-    return Slots(order, offset, table, any(twice))
+    twice = run([partial(kernels.slots, chosen, indptr, indices, offset, *part) for part in ranges(len(chosen))])
+    return Slots(offset, table, any(twice))
 
 
 def finish(pattern: Sparsity, values: Array, components: int) -> csr_array:

@@ -112,14 +112,14 @@ def slot_keys(first, dofs, element_key, kind, keys, lo, hi):
 
 
 @numba.njit(**_INTEGER)
-def slots(dofs, indptr, indices, order, offset, lo, hi):
-    """Order of functions by number, and places in their rows of all pairs row <= column.
+def slots(dofs, indptr, indices, offset, lo, hi):
+    """Places in their rows of all pairs of functions on some elements.
 
     Parameters
     ----------
     dofs : (k, n) functions of the elements.
-    order : (k, n), filled: local functions in ascending order of their numbers.
-    offset : (k, n (n+1)/2), filled: for each pair a <= b in that order the place of column b in row a.
+    offset : (k, n (n+1)/2), filled: for each pair i <= j of local functions, row by row, the place of the larger
+        function number in the row of the smaller.
 
     Returns
     -------
@@ -127,28 +127,26 @@ def slots(dofs, indptr, indices, order, offset, lo, hi):
     """
     n = dofs.shape[1]
     twice = False
-    ascending = np.empty(n, np.int64)
     for k in range(lo, hi):
-        order[k] = np.argsort(dofs[k], kind="mergesort")
+        order = np.argsort(dofs[k], kind="mergesort")
         for a in range(n):
-            ascending[a] = dofs[k, order[k, a]]
-            twice |= a > 0 and ascending[a] == ascending[a - 1]
-        t = 0
-        for a in range(n):
-            begin = indptr[ascending[a]]
-            low, high = begin, indptr[ascending[a] + 1]
-            target = ascending[a]
+            i = order[a]
+            row = dofs[k, i]
+            twice |= a > 0 and row == dofs[k, order[a - 1]]
+            begin = indptr[row]
+            low, high = begin, indptr[row + 1]
             while low < high:
                 middle = (low + high) // 2
-                if indices[middle] < target:
+                if indices[middle] < row:
                     low = middle + 1
                 else:
                     high = middle
             for b in range(a, n):
-                while indices[low] != ascending[b]:
+                j = order[b]
+                while indices[low] != dofs[k, j]:
                     low += 1
-                offset[k, t] = low - begin
-                t += 1
+                first, second = min(i, j), max(i, j)
+                offset[k, first * n - first * (first - 1) // 2 + second - first] = low - begin
     return twice
 
 

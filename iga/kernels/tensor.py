@@ -17,6 +17,9 @@ Tables: ``T`` (k, 2, q, n) values and derivatives of the k distinct sets of one-
 (k, 4, q, n*n) their products, type 2 a + b for derivative a of the first and b of the second factor; ``pattern``
 (e, 3) says which. A kernel is compiled for each (n1, n2, n3, q1, q2, q3).
 
+Arrays are indexed flat inside the kernels, so that the compiler sees constant distances between them and vectorises
+(three times faster than with several subscripts).
+
 Axis letters: e element, q point, n function on the element, c component.
 """
 
@@ -42,18 +45,23 @@ def products(T: Array) -> Array:
 
 
 @cache
-def places(n1: int, n2: int, n3: int, symmetric: bool) -> NDArray[np.int32]:
-    """Where a kernel leaves entry (i, j) of an element matrix: pairs of each direction vary slowest to fastest.
+def places(n1: int, n2: int, n3: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Where in an element matrix entries (i, j), i <= j, are left, row by row.
 
-    With ``symmetric`` only pairs i1 <= j1 are computed and (i, j) may stand for (j, i).
+    Returns
+    -------
+    by `symmetric` : (n (n+1)/2,). Pairs of each direction vary slowest to fastest, in the first only those i1 <= j1.
+    by `general` : (2, n (n+1)/2), of entries (i, j) and (j, i). The same with all pairs.
     """
-    n = n1 * n2 * n3
-    i1, i2, i3 = np.unravel_index(np.arange(n), (n1, n2, n3))
-    pair = [np.add.outer(i * m, i) for i, m in ((i1, n1), (i2, n2), (i3, n3))]
-    place = (pair[0] * n2 * n2 + pair[1]) * n3 * n3 + pair[2]
-    if symmetric:
-        place = np.where(i1[:, None] <= i1[None, :], place, place.T)
-    return np.ascontiguousarray(place.astype(np.int32))
+    i1, i2, i3 = np.unravel_index(np.arange(n1 * n2 * n3), (n1, n2, n3))
+    i, j = np.triu_indices(n1 * n2 * n3)
+    first = i1[i] * n1 - i1[i] * (i1[i] - 1) // 2 + i1[j] - i1[i]
+    half = (first * n2 * n2 + i2[i] * n2 + i2[j]) * n3 * n3 + i3[i] * n3 + i3[j]
+    full = [
+        ((i1[r] * n1 + i1[s]) * n2 * n2 + i2[r] * n2 + i2[s]) * n3 * n3 + i3[r] * n3 + i3[s]
+        for r, s in ((i, j), (j, i))
+    ]
+    return half.astype(np.int32), np.stack(full).astype(np.int32)
 
 
 @cache
@@ -65,25 +73,31 @@ def interpolate(literal: Sizes) -> Callable[..., None]:
     def kernel(sizes, T1, T2, T3, pattern, dofs, coefficients, result):
         n1, n2, n3 = l1 or sizes[0], l2 or sizes[1], l3 or sizes[2]
         q1, q2, q3 = l4 or sizes[3], l5 or sizes[4], l6 or sizes[5]
-        u = np.empty((n1, n2 * n3))
-        V = np.empty((2, q1, n2 * n3))
-        W = np.empty((3, q2, n3))
+        m, q, components = n2 * n3, q1 * q2 * q3, coefficients.shape[1]
+        A, B, C, number, x = T1.reshape(-1), T2.reshape(-1), T3.reshape(-1), dofs.reshape(-1), coefficients.reshape(-1)
+        out = result.reshape(-1)
+        u = np.empty(n1 * m)
+        V = np.empty(2 * q1 * m)
+        W = np.empty(3 * q2 * n3)
+        z = np.empty(2 * n3 * q3)
         for e in range(dofs.shape[0]):
-            k1, k2, k3 = pattern[e, 0], pattern[e, 1], pattern[e, 2]
-            for c in range(coefficients.shape[1]):
-                out = result[e, c]
-                for i in range(n1):
-                    for k in range(n2 * n3):
-                        u[i, k] = coefficients[dofs[e, i * n2 * n3 + k], c]
+            k1, k2, k3 = pattern[e, 0] * 2 * q1 * n1, pattern[e, 1] * 2 * q2 * n2, pattern[e, 2] * 2 * q3 * n3
+            for s in range(2):
+                for k in range(n3):
+                    for p in range(q3):
+                        z[(s * n3 + k) * q3 + p] = C[k3 + (s * q3 + p) * n3 + k]
+            for c in range(components):
+                for k in range(n1 * m):
+                    u[k] = x[number[e * n1 * m + k] * components + c]
                 for a in range(q1):
-                    for k in range(n2 * n3):
+                    for k in range(m):
                         s0 = 0.0
                         s1 = 0.0
                         for i in range(n1):
-                            s0 += T1[k1, 0, a, i] * u[i, k]
-                            s1 += T1[k1, 1, a, i] * u[i, k]
-                        V[0, a, k] = s0
-                        V[1, a, k] = s1
+                            s0 += A[k1 + a * n1 + i] * u[i * m + k]
+                            s1 += A[k1 + (q1 + a) * n1 + i] * u[i * m + k]
+                        V[a * m + k] = s0
+                        V[(q1 + a) * m + k] = s1
                 for a in range(q1):
                     for b in range(q2):
                         for k in range(n3):
@@ -91,28 +105,29 @@ def interpolate(literal: Sizes) -> Callable[..., None]:
                             s01 = 0.0
                             s10 = 0.0
                             for j in range(n2):
-                                s00 += T2[k2, 0, b, j] * V[0, a, j * n3 + k]
-                                s01 += T2[k2, 1, b, j] * V[0, a, j * n3 + k]
-                                s10 += T2[k2, 0, b, j] * V[1, a, j * n3 + k]
-                            W[0, b, k] = s00
-                            W[1, b, k] = s01
-                            W[2, b, k] = s10
+                                s00 += B[k2 + b * n2 + j] * V[a * m + j * n3 + k]
+                                s01 += B[k2 + (q2 + b) * n2 + j] * V[a * m + j * n3 + k]
+                                s10 += B[k2 + b * n2 + j] * V[(q1 + a) * m + j * n3 + k]
+                            W[b * n3 + k] = s00
+                            W[(q2 + b) * n3 + k] = s01
+                            W[(2 * q2 + b) * n3 + k] = s10
                     for b in range(q2):
-                        at = (a * q2 + b) * q3
-                        for c3 in range(q3):
+                        at = (e * components + c) * 4 * q + (a * q2 + b) * q3
+                        for p in range(q3):
                             s0 = 0.0
                             s1 = 0.0
                             s2 = 0.0
                             s3 = 0.0
                             for k in range(n3):
-                                s0 += T3[k3, 0, c3, k] * W[0, b, k]
-                                s1 += T3[k3, 0, c3, k] * W[2, b, k]
-                                s2 += T3[k3, 0, c3, k] * W[1, b, k]
-                                s3 += T3[k3, 1, c3, k] * W[0, b, k]
-                            out[0, at + c3] = s0
-                            out[1, at + c3] = s1
-                            out[2, at + c3] = s2
-                            out[3, at + c3] = s3
+                                t = z[k * q3 + p]
+                                s0 += t * W[b * n3 + k]
+                                s1 += t * W[(2 * q2 + b) * n3 + k]
+                                s2 += t * W[(q2 + b) * n3 + k]
+                                s3 += z[(n3 + k) * q3 + p] * W[b * n3 + k]
+                            out[at + p] = s0
+                            out[at + q + p] = s1
+                            out[at + 2 * q + p] = s2
+                            out[at + 3 * q + p] = s3
 
     return kernel
 
@@ -126,48 +141,67 @@ def distribute(literal: Sizes) -> Callable[..., None]:
     def kernel(sizes, T1, T2, T3, pattern, dofs, scale, r, vector):
         n1, n2, n3 = l1 or sizes[0], l2 or sizes[1], l3 or sizes[2]
         q1, q2, q3 = l4 or sizes[3], l5 or sizes[4], l6 or sizes[5]
-        V = np.empty((2, q1, n2 * n3))
-        W = np.empty((3, q2, n3))
-        slopes = r.shape[2] == 4
+        m, q, components, channels = n2 * n3, q1 * q2 * q3, r.shape[1], r.shape[2]
+        A, B, C, number, f = T1.reshape(-1), T2.reshape(-1), T3.reshape(-1), dofs.reshape(-1), r.reshape(-1)
+        y, factor = vector.reshape(-1), scale.reshape(-1)
+        V = np.empty(2 * q1 * m)
+        W = np.empty(3 * q2 * n3)
+        u = np.empty(n1 * m)
         for e in range(dofs.shape[0]):
-            k1, k2, k3 = pattern[e, 0], pattern[e, 1], pattern[e, 2]
-            for c in range(r.shape[1]):
+            k1, k2, k3 = pattern[e, 0] * 2 * q1 * n1, pattern[e, 1] * 2 * q2 * n2, pattern[e, 2] * 2 * q3 * n3
+            for c in range(components):
                 for a in range(q1):
                     for b in range(q2):
-                        at = (a * q2 + b) * q3
-                        for k in range(n3):
-                            s0 = 0.0
-                            s1 = 0.0
-                            s2 = 0.0
-                            if slopes:
-                                for c3 in range(q3):
-                                    t = T3[k3, 0, c3, k]
-                                    s0 += t * r[e, c, 0, at + c3] + T3[k3, 1, c3, k] * r[e, c, 3, at + c3]
-                                    s1 += t * r[e, c, 2, at + c3]
-                                    s2 += t * r[e, c, 1, at + c3]
-                            else:
-                                for c3 in range(q3):
-                                    s0 += T3[k3, 0, c3, k] * r[e, c, 0, at + c3]
-                            W[0, b, k] = s0
-                            W[1, b, k] = s1
-                            W[2, b, k] = s2
+                        at = (e * components + c) * channels * q + (a * q2 + b) * q3
+                        if channels == 4:
+                            for k in range(n3):
+                                s0 = 0.0
+                                s1 = 0.0
+                                s2 = 0.0
+                                for p in range(q3):
+                                    t = C[k3 + p * n3 + k]
+                                    s0 += t * f[at + p] + C[k3 + (q3 + p) * n3 + k] * f[at + 3 * q + p]
+                                    s1 += t * f[at + 2 * q + p]
+                                    s2 += t * f[at + q + p]
+                                W[b * n3 + k] = s0
+                                W[(q2 + b) * n3 + k] = s1
+                                W[(2 * q2 + b) * n3 + k] = s2
+                        else:
+                            for k in range(n3):
+                                s0 = 0.0
+                                for p in range(q3):
+                                    s0 += C[k3 + p * n3 + k] * f[at + p]
+                                W[b * n3 + k] = s0
+                                W[(q2 + b) * n3 + k] = 0.0
+                                W[(2 * q2 + b) * n3 + k] = 0.0
                     for j in range(n2):
                         for k in range(n3):
                             s0 = 0.0
                             s1 = 0.0
                             for b in range(q2):
-                                s0 += T2[k2, 0, b, j] * W[0, b, k] + T2[k2, 1, b, j] * W[1, b, k]
-                                s1 += T2[k2, 0, b, j] * W[2, b, k]
-                            V[0, a, j * n3 + k] = s0
-                            V[1, a, j * n3 + k] = s1
+                                t = B[k2 + b * n2 + j]
+                                s0 += t * W[b * n3 + k] + B[k2 + (q2 + b) * n2 + j] * W[(q2 + b) * n3 + k]
+                                s1 += t * W[(2 * q2 + b) * n3 + k]
+                            V[a * m + j * n3 + k] = s0
+                            V[(q1 + a) * m + j * n3 + k] = s1
                 for i in range(n1):
-                    for k in range(n2 * n3):
+                    for k in range(m):
                         s = 0.0
                         for a in range(q1):
-                            s += T1[k1, 0, a, i] * V[0, a, k] + T1[k1, 1, a, i] * V[1, a, k]
-                        vector[dofs[e, i * n2 * n3 + k], c] += s * scale[e, i * n2 * n3 + k]
+                            s += A[k1 + a * n1 + i] * V[a * m + k] + A[k1 + (q1 + a) * n1 + i] * V[(q1 + a) * m + k]
+                        u[i * m + k] = s
+                at = e * n1 * m
+                for k in range(n1 * m):
+                    y[number[at + k] * components + c] += u[k] * factor[at + k]
 
     return kernel
+
+
+@numba.njit(inline="always", **OPTIONS)
+def load(target, source):
+    """Copy an array."""
+    for k in range(len(target)):
+        target[k] = source[k]
 
 
 @cache
@@ -177,21 +211,26 @@ def symmetric(literal: Sizes) -> Callable[..., None]:
 
     @numba.njit(**OPTIONS)
     def kernel(
-        sizes, P1, P2, P3, pattern, D, place, order, offset, table, dofs, scale, begin, length, c, a, twice, values
+        sizes, P1, P2, P3, pattern, D, place, offset, table, dofs, scale, scaled, begin, length, c, a, twice, values
     ):
         n1, n2, n3 = l1 or sizes[0], l2 or sizes[1], l3 or sizes[2]
         q1, q2, q3 = l4 or sizes[3], l5 or sizes[4], l6 or sizes[5]
         m1, m2, m3 = n1 * n1, n2 * n2, n3 * n3
-        F = np.empty((7, q1, q2, m3))
-        E = np.empty((4, q1, m2, m3))
-        K = np.empty((m1, m2 * m3))
-        flat = E.reshape((4, q1, m2 * m3))
+        q, S, R = q1 * q2 * q3, q1 * q2 * m3, q1 * m2 * m3
+        d = D.reshape(-1)
+        # Copies of the tables of the element at hand: at fixed places, the loops below compile to better code.
+        A1, A2, A3 = np.empty(4 * q1 * m1), np.empty(4 * q2 * m2), np.empty(4 * q3 * m3)
+        F = np.empty(7 * S)
+        E = np.empty(4 * R)
+        K = np.empty(n1 * (n1 + 1) // 2 * m2 * m3)
         for e in range(D.shape[0]):
-            A1, A2, A3 = P1[pattern[e, 0]], P2[pattern[e, 1]], P3[pattern[e, 2]]
-            d = D[e]
+            load(A1, P1[pattern[e, 0]].reshape(-1))
+            load(A2, P2[pattern[e, 1]].reshape(-1))
+            load(A3, P3[pattern[e, 2]].reshape(-1))
             for x in range(q1):
                 for y in range(q2):
-                    at = (x * q2 + y) * q3
+                    o = e * 10 * q + (x * q2 + y) * q3
+                    f = (x * q2 + y) * m3
                     for k in range(m3):
                         s11 = 0.0
                         s12 = 0.0
@@ -201,58 +240,65 @@ def symmetric(literal: Sizes) -> Callable[..., None]:
                         s02 = 0.0
                         s00 = 0.0
                         for z in range(q3):
-                            t0, t1, t2, t3 = A3[0, z, k], A3[1, z, k], A3[2, z, k], A3[3, z, k]
-                            s00 += d[0, at + z] * t0 + d[3, at + z] * (t1 + t2) + d[9, at + z] * t3
-                            s10 += d[1, at + z] * t0 + d[6, at + z] * t1
-                            s20 += d[2, at + z] * t0 + d[8, at + z] * t1
-                            s02 += d[2, at + z] * t0 + d[8, at + z] * t2
-                            s11 += d[4, at + z] * t0
-                            s12 += d[5, at + z] * t0
-                            s22 += d[7, at + z] * t0
-                        F[0, x, y, k] = s11
-                        F[1, x, y, k] = s12
-                        F[2, x, y, k] = s10
-                        F[3, x, y, k] = s22
-                        F[4, x, y, k] = s20
-                        F[5, x, y, k] = s02
-                        F[6, x, y, k] = s00
+                            t0, t1 = A3[z * m3 + k], A3[(q3 + z) * m3 + k]
+                            t2, t3 = A3[(2 * q3 + z) * m3 + k], A3[(3 * q3 + z) * m3 + k]
+                            s00 += d[o + z] * t0 + d[o + 3 * q + z] * (t1 + t2) + d[o + 9 * q + z] * t3
+                            s10 += d[o + q + z] * t0 + d[o + 6 * q + z] * t1
+                            s20 += d[o + 2 * q + z] * t0 + d[o + 8 * q + z] * t1
+                            s02 += d[o + 2 * q + z] * t0 + d[o + 8 * q + z] * t2
+                            s11 += d[o + 4 * q + z] * t0
+                            s12 += d[o + 5 * q + z] * t0
+                            s22 += d[o + 7 * q + z] * t0
+                        F[f + k] = s11
+                        F[S + f + k] = s12
+                        F[2 * S + f + k] = s10
+                        F[3 * S + f + k] = s22
+                        F[4 * S + f + k] = s20
+                        F[5 * S + f + k] = s02
+                        F[6 * S + f + k] = s00
             for x in range(q1):
+                f = x * q2 * m3
                 for j in range(m2):
+                    g = (x * m2 + j) * m3
                     for k in range(m3):
                         s11 = 0.0
                         s10 = 0.0
                         s00 = 0.0
                         for y in range(q2):
-                            t0, t1, t2, t3 = A2[0, y, j], A2[1, y, j], A2[2, y, j], A2[3, y, j]
-                            s11 += t0 * F[0, x, y, k]
-                            s10 += t1 * F[1, x, y, k] + t0 * F[2, x, y, k]
-                            s00 += t3 * F[3, x, y, k] + t2 * F[4, x, y, k] + t1 * F[5, x, y, k] + t0 * F[6, x, y, k]
-                        E[0, x, j, k] = s00
-                        E[1, x, j, k] = s10
-                        E[3, x, j, k] = s11
+                            t0, t1 = A2[y * m2 + j], A2[(q2 + y) * m2 + j]
+                            t2, t3 = A2[(2 * q2 + y) * m2 + j], A2[(3 * q2 + y) * m2 + j]
+                            h = f + y * m3 + k
+                            s11 += t0 * F[h]
+                            s10 += t1 * F[S + h] + t0 * F[2 * S + h]
+                            s00 += t3 * F[3 * S + h] + t2 * F[4 * S + h] + t1 * F[5 * S + h] + t0 * F[6 * S + h]
+                        E[g + k] = s00
+                        E[R + g + k] = s10
+                        E[3 * R + g + k] = s11
                 # Type 01 is type 10 with the two functions exchanged.
                 for i2 in range(n2):
                     for j2 in range(n2):
+                        g = (x * m2 + i2 * n2 + j2) * m3
+                        h = (x * m2 + j2 * n2 + i2) * m3
                         for i3 in range(n3):
                             for j3 in range(n3):
-                                E[2, x, i2 * n2 + j2, i3 * n3 + j3] = E[1, x, j2 * n2 + i2, j3 * n3 + i3]
+                                E[2 * R + g + i3 * n3 + j3] = E[R + h + j3 * n3 + i3]
+            g = 0
             for i1 in range(n1):
                 for j1 in range(i1, n1):
                     m = i1 * n1 + j1
                     for k in range(m2 * m3):
                         s = 0.0
                         for x in range(q1):
+                            h = x * m2 * m3 + k
                             s += (
-                                A1[0, x, m] * flat[0, x, k]
-                                + A1[1, x, m] * flat[2, x, k]
-                                + A1[2, x, m] * flat[1, x, k]
-                                + A1[3, x, m] * flat[3, x, k]
+                                A1[m + x * m1] * E[h]
+                                + A1[m + (q1 + x) * m1] * E[2 * R + h]
+                                + A1[m + (2 * q1 + x) * m1] * E[R + h]
+                                + A1[m + (3 * q1 + x) * m1] * E[3 * R + h]
                             )
-                        K[m, k] = s
-            scatter_symmetric(
-                K.reshape(m1 * m2 * m3), place, order[table[e]], offset[table[e]], dofs[e], scale[e], begin, length, c,
-                a, twice, values,
-            )
+                        K[g + k] = s
+                    g += m2 * m3
+            scatter_symmetric(K, place, offset[table[e]], dofs[e], scale[e], scaled, begin, length, c, a, twice, values)
 
     return kernel
 
@@ -264,21 +310,26 @@ def general(literal: Sizes) -> Callable[..., None]:
 
     @numba.njit(**OPTIONS)
     def kernel(
-        sizes, P1, P2, P3, pattern, D, place, order, offset, table, dofs, scale, begin, length, c, a, b, twice, values
+        sizes, P1, P2, P3, pattern, D, place, offset, table, dofs, scale, scaled, begin, length, c, a, b, twice, values
     ):
         n1, n2, n3 = l1 or sizes[0], l2 or sizes[1], l3 or sizes[2]
         q1, q2, q3 = l4 or sizes[3], l5 or sizes[4], l6 or sizes[5]
         m1, m2, m3 = n1 * n1, n2 * n2, n3 * n3
-        F = np.empty((9, q1, q2, m3))
-        E = np.empty((4, q1, m2, m3))
-        K = np.empty((m1, m2 * m3))
-        flat = E.reshape((4, q1, m2 * m3))
+        q, S, R = q1 * q2 * q3, q1 * q2 * m3, q1 * m2 * m3
+        d = D.reshape(-1)
+        # Copies of the tables of the element at hand: at fixed places, the loops below compile to better code.
+        A1, A2, A3 = np.empty(4 * q1 * m1), np.empty(4 * q2 * m2), np.empty(4 * q3 * m3)
+        F = np.empty(9 * S)
+        E = np.empty(4 * R)
+        K = np.empty(m1 * m2 * m3)
         for e in range(D.shape[0]):
-            A1, A2, A3 = P1[pattern[e, 0]], P2[pattern[e, 1]], P3[pattern[e, 2]]
-            d = D[e]
+            load(A1, P1[pattern[e, 0]].reshape(-1))
+            load(A2, P2[pattern[e, 1]].reshape(-1))
+            load(A3, P3[pattern[e, 2]].reshape(-1))
             for x in range(q1):
                 for y in range(q2):
-                    at = (x * q2 + y) * q3
+                    o = e * 16 * q + (x * q2 + y) * q3
+                    f = (x * q2 + y) * m3
                     for k in range(m3):
                         s11 = 0.0
                         s12 = 0.0
@@ -290,125 +341,149 @@ def general(literal: Sizes) -> Callable[..., None]:
                         s02 = 0.0
                         s00 = 0.0
                         for z in range(q3):
-                            t0, t1, t2, t3 = A3[0, z, k], A3[1, z, k], A3[2, z, k], A3[3, z, k]
-                            s00 += d[0, at + z] * t0 + d[3, at + z] * t1 + d[12, at + z] * t2 + d[15, at + z] * t3
-                            s10 += d[4, at + z] * t0 + d[7, at + z] * t1
-                            s01 += d[1, at + z] * t0 + d[13, at + z] * t2
-                            s20 += d[8, at + z] * t0 + d[11, at + z] * t1
-                            s02 += d[2, at + z] * t0 + d[14, at + z] * t2
-                            s11 += d[5, at + z] * t0
-                            s12 += d[6, at + z] * t0
-                            s21 += d[9, at + z] * t0
-                            s22 += d[10, at + z] * t0
-                        F[0, x, y, k] = s11
-                        F[1, x, y, k] = s12
-                        F[2, x, y, k] = s10
-                        F[3, x, y, k] = s22
-                        F[4, x, y, k] = s20
-                        F[5, x, y, k] = s02
-                        F[6, x, y, k] = s00
-                        F[7, x, y, k] = s21
-                        F[8, x, y, k] = s01
+                            t0, t1 = A3[z * m3 + k], A3[(q3 + z) * m3 + k]
+                            t2, t3 = A3[(2 * q3 + z) * m3 + k], A3[(3 * q3 + z) * m3 + k]
+                            s00 += (
+                                d[o + z] * t0 + d[o + 3 * q + z] * t1 + d[o + 12 * q + z] * t2 + d[o + 15 * q + z] * t3
+                            )
+                            s10 += d[o + 4 * q + z] * t0 + d[o + 7 * q + z] * t1
+                            s01 += d[o + q + z] * t0 + d[o + 13 * q + z] * t2
+                            s20 += d[o + 8 * q + z] * t0 + d[o + 11 * q + z] * t1
+                            s02 += d[o + 2 * q + z] * t0 + d[o + 14 * q + z] * t2
+                            s11 += d[o + 5 * q + z] * t0
+                            s12 += d[o + 6 * q + z] * t0
+                            s21 += d[o + 9 * q + z] * t0
+                            s22 += d[o + 10 * q + z] * t0
+                        F[f + k] = s11
+                        F[S + f + k] = s12
+                        F[2 * S + f + k] = s10
+                        F[3 * S + f + k] = s22
+                        F[4 * S + f + k] = s20
+                        F[5 * S + f + k] = s02
+                        F[6 * S + f + k] = s00
+                        F[7 * S + f + k] = s21
+                        F[8 * S + f + k] = s01
             for x in range(q1):
+                f = x * q2 * m3
                 for j in range(m2):
+                    g = (x * m2 + j) * m3
                     for k in range(m3):
                         s11 = 0.0
                         s10 = 0.0
                         s01 = 0.0
                         s00 = 0.0
                         for y in range(q2):
-                            t0, t1, t2, t3 = A2[0, y, j], A2[1, y, j], A2[2, y, j], A2[3, y, j]
-                            s11 += t0 * F[0, x, y, k]
-                            s10 += t1 * F[1, x, y, k] + t0 * F[2, x, y, k]
-                            s01 += t2 * F[7, x, y, k] + t0 * F[8, x, y, k]
-                            s00 += t3 * F[3, x, y, k] + t2 * F[4, x, y, k] + t1 * F[5, x, y, k] + t0 * F[6, x, y, k]
-                        E[0, x, j, k] = s00
-                        E[1, x, j, k] = s01
-                        E[2, x, j, k] = s10
-                        E[3, x, j, k] = s11
+                            t0, t1 = A2[y * m2 + j], A2[(q2 + y) * m2 + j]
+                            t2, t3 = A2[(2 * q2 + y) * m2 + j], A2[(3 * q2 + y) * m2 + j]
+                            h = f + y * m3 + k
+                            s11 += t0 * F[h]
+                            s10 += t1 * F[S + h] + t0 * F[2 * S + h]
+                            s01 += t2 * F[7 * S + h] + t0 * F[8 * S + h]
+                            s00 += t3 * F[3 * S + h] + t2 * F[4 * S + h] + t1 * F[5 * S + h] + t0 * F[6 * S + h]
+                        E[g + k] = s00
+                        E[R + g + k] = s01
+                        E[2 * R + g + k] = s10
+                        E[3 * R + g + k] = s11
             for m in range(m1):
+                g = m * m2 * m3
                 for k in range(m2 * m3):
                     s = 0.0
                     for x in range(q1):
+                        h = x * m2 * m3 + k
                         s += (
-                            A1[0, x, m] * flat[0, x, k]
-                            + A1[1, x, m] * flat[1, x, k]
-                            + A1[2, x, m] * flat[2, x, k]
-                            + A1[3, x, m] * flat[3, x, k]
+                            A1[m + x * m1] * E[h]
+                            + A1[m + (q1 + x) * m1] * E[R + h]
+                            + A1[m + (2 * q1 + x) * m1] * E[2 * R + h]
+                            + A1[m + (3 * q1 + x) * m1] * E[3 * R + h]
                         )
-                    K[m, k] = s
+                    K[g + k] = s
             scatter_general(
-                K.reshape(m1 * m2 * m3), place, order[table[e]], offset[table[e]], dofs[e], scale[e], begin, length, c,
-                a, b, twice, values,
+                K, place[0], K, place[1], offset[table[e]], dofs[e], scale[e], scaled, begin, length, c, a, b, twice,
+                values,
             )
 
     return kernel
 
 
 @numba.njit(**OPTIONS)
-def scatter_symmetric(K, place, order, offset, dofs, scale, begin, length, c, a, twice, values):
+def scatter_symmetric(K, place, offset, dofs, scale, scaled, begin, length, c, a, twice, values):
     """Add a symmetric element matrix to the entries row <= column of components (a, a).
 
     Parameters
     ----------
-    K, place : the matrix, and where in it entry (i, j) is, (n, n).
-    order, offset : slots of the element (`iga.sparsity.Slots`).
-    dofs, scale : (n,) function numbers and factors of the functions.
+    K, place : the matrix, and where in it the pairs i <= j are, row by row.
+    offset : slots of the element (`iga.sparsity.Slots`).
+    dofs, scale : (n,) function numbers and factors of the functions, which are one if not ``scaled``.
     begin, length : (N,) first entry of each row with c components, and number of functions in it.
-    twice : whether the element may have one function twice.
+    twice : whether the element may have one function twice; its two diagonal entries and both others then meet.
     """
     n = len(dofs)
+    start = np.empty(n, np.int64)
+    for i in range(n):
+        start[i] = begin[dofs[i]] + a * c * length[dofs[i]] + a
     t = 0
     for i in range(n):
-        first = order[i]
-        row = dofs[first]
-        start = begin[row] + a * c * length[row] + a
-        factor = scale[first]
-        for j in range(i, n):
-            second = order[j]
-            values[start + c * offset[t]] += K[place[first, second]] * factor * scale[second]
-            t += 1
-        if twice:
-            for j in range(i + 1, n):
-                second = order[j]
-                if dofs[second] != row:
-                    break
-                values[start + c * offset[t - n + i]] += K[place[second, first]] * factor * scale[second]
+        w = n - i
+        where, step = place[t : t + w], offset[t : t + w]
+        number, row, first, factor = dofs[i:], start[i:], start[i], scale[i:]
+        for j in range(w):
+            value = K[np.uintp(where[j])]
+            if scaled:
+                value *= factor[0] * factor[j]
+            at = np.uintp((first if number[0] <= number[j] else row[j]) + c * step[j])
+            values[at] += value
+            if twice and j > 0 and number[0] == number[j]:
+                values[at] += value
+        t += w
 
 
 @numba.njit(**OPTIONS)
-def scatter_general(K, place, order, offset, dofs, scale, begin, length, c, a, b, twice, values):
-    """Add an element matrix of components (a, b) there and its transpose to (b, a), rows <= columns only."""
+def scatter_general(K, place, L, lower, offset, dofs, scale, scaled, begin, length, c, a, b, twice, values):
+    """Add an element matrix of components (a, b), and its transpose to (b, a), to the entries row <= column.
+
+    Parameters
+    ----------
+    K, place : the matrix, and where in it entries (i, j), i <= j, are.
+    L, lower : the same for entries (j, i), i <= j.
+    """
     n = len(dofs)
+    start = np.empty(n, np.int64)
+    other = np.empty(n, np.int64)
+    for i in range(n):
+        start[i] = begin[dofs[i]] + a * c * length[dofs[i]] + b
+        other[i] = begin[dofs[i]] + b * c * length[dofs[i]] + a
     t = 0
     for i in range(n):
-        first = order[i]
-        row = dofs[first]
-        start = begin[row] + a * c * length[row] + b
-        other = begin[row] + b * c * length[row] + a
-        factor = scale[first]
-        for j in range(i, n):
-            second = order[j]
-            product = factor * scale[second]
-            values[start + c * offset[t]] += K[place[first, second]] * product
-            values[other + c * offset[t]] += K[place[second, first]] * product
-            t += 1
-        if twice:
-            for j in range(i + 1, n):
-                second = order[j]
-                if dofs[second] != row:
-                    break
-                product = factor * scale[second]
-                values[start + c * offset[t - n + i]] += K[place[second, first]] * product
-                values[other + c * offset[t - n + i]] += K[place[first, second]] * product
+        w = n - i
+        upper, under, step = place[t : t + w], lower[t : t + w], offset[t : t + w]
+        number, rows, others, factor = dofs[i:], start[i:], other[i:], scale[i:]
+        row, opposite_row = start[i], other[i]
+        for j in range(w):
+            value, opposite = K[np.uintp(upper[j])], L[np.uintp(under[j])]
+            if scaled:
+                value *= factor[0] * factor[j]
+                opposite *= factor[0] * factor[j]
+            above = number[0] <= number[j]
+            at = np.uintp((row if above else others[j]) + c * step[j])
+            against = np.uintp((opposite_row if above else rows[j]) + c * step[j])
+            values[at] += value
+            values[against] += opposite
+            if twice and j > 0 and number[0] == number[j]:
+                values[at] += opposite
+                values[against] += value
+        t += w
 
 
 @numba.njit(**OPTIONS)
-def scatter_matrices(K, place, order, offset, table, dofs, scale, begin, length, c, a, b, twice, values):
-    """Scatter ready element matrices, (e, n*n): symmetric ones of components (a, a), or of (a, b) with a < b."""
+def scatter_matrices(
+    K, place, lower, offset, table, dofs, scale, scaled, begin, length, c, a, b, twice, values
+):
+    """Scatter ready element matrices, (e, entries): symmetric ones of components (a, a), or of (a, b) with a < b."""
     for e in range(dofs.shape[0]):
         k = table[e]
         if a == b:
-            scatter_symmetric(K[e], place, order[k], offset[k], dofs[e], scale[e], begin, length, c, a, twice, values)
+            scatter_symmetric(K[e], place, offset[k], dofs[e], scale[e], scaled, begin, length, c, a, twice, values)
         else:
-            scatter_general(K[e], place, order[k], offset[k], dofs[e], scale[e], begin, length, c, a, b, twice, values)
+            scatter_general(
+                K[e], place, K[e], lower, offset[k], dofs[e], scale[e], scaled, begin, length, c, a, b, twice, values
+            )
