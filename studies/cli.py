@@ -25,6 +25,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         answer = options.run(options)
+        status = int(answer.pop("exit", 0))
+        if options.json:
+            print(json.dumps(_finite(answer), default=_plain, allow_nan=False))
+        else:
+            options.show(answer)
+        sys.stdout.flush()
     except InputError as error:
         return _fail(str(error), 2)
     except ConvergenceError as error:
@@ -34,13 +40,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", 130)
     except BrokenPipeError:
-        sys.stderr.close()
+        # The reader has gone; what is left in the buffer must not be written at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    status = int(answer.pop("exit", 0))
-    if options.json:
-        print(json.dumps(_finite(answer), default=_plain, allow_nan=False))
-    else:
-        options.show(answer)
     return status
 
 

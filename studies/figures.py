@@ -64,8 +64,13 @@ def plot_convergence(
         convergence(axes, series, x_label, y_label, title)
 
 
-def convergence(axes: Any, series: Sequence[Series], x_label: str, y_label: str, title: str = "") -> None:
-    """Draw curves on doubly logarithmic axes, with a triangle of the stated slope at the fine end of each."""
+def convergence(
+    axes: Any, series: Sequence[Series], x_label: str, y_label: str, title: str = "", legend: bool = True
+) -> None:
+    """Draw curves on doubly logarithmic axes, with a triangle of the stated slope at the fine end of each.
+
+    A legend of more than six curves stands beside the axes.
+    """
     axes.set_xscale("log")
     axes.set_yscale("log")
     families: dict[Any, int] = {}
@@ -86,7 +91,10 @@ def convergence(axes: Any, series: Sequence[Series], x_label: str, y_label: str,
     for one in series:
         if one.rate is not None and len(one.x) >= 2:
             _triangle(axes, one, drawn)
-    axes.legend(loc="best", handlelength=1.9, labelspacing=0.35)
+    if legend and len(series) > 6:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, handlelength=1.9)
+    elif legend:
+        axes.legend(loc="best", handlelength=1.9, labelspacing=0.35)
 
 
 def _tick_levels(axes: Any, levels: np.ndarray) -> None:

@@ -86,4 +86,4 @@ def _draw(path: Path, made: Table) -> None:
                         h, error = ([float(r[key]) for r in rows] for key in ("h", norm))
                         rate = float(p + (norm == "l2_error")) if solid == "cube" else None
                         lines.append(Series(f"{solid} $p={p}$", h, error, rate, family=p, dashed=solid == "ring"))
-            convergence(axes, lines, "$h$", f"relative error in ${text}$")
+            convergence(axes, lines, "$h$", f"relative error in ${text}$", legend=axes is panels[-1])
