@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -101,6 +102,12 @@ class Domain:
             raise InputError(f"{self.space.n} functions need {self.space.n} control points, not {self.points.shape}")
         for name in ("boundaries", "attributes", "report"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def plot(self, path: str | Path | None = None, **options: Any) -> NDArray[np.uint8]:
+        """Draw the solid off screen, into a PNG file if told; options of `iga.plot.plot_domain`."""
+        from iga.plot import plot_domain  # needs a graphics library, which nothing else here does
+
+        return plot_domain(self, path, **options)
 
     @cached_property
     def map_degrees(self) -> tuple[tuple[int, ...], ...]:
