@@ -193,7 +193,7 @@ def _demo(options: argparse.Namespace) -> Answer:
     from iga.progress import progress
     from studies.demo import demo
 
-    return dict(demo(Path(options.out), progress()))
+    return dict(demo(Path(options.out), progress(), say=not options.json))
 
 
 def _setting(text: str) -> tuple[str, Any]:
@@ -343,6 +343,7 @@ def _parser() -> argparse.ArgumentParser:
 
     demo = command("demo", _demo, "a tour in three minutes: tables, plots and pictures")
     demo.add_argument("--out", default="results/demo", metavar="DIR")
+    demo.set_defaults(show=lambda answer: None)
     return parser
 
 

@@ -72,7 +72,10 @@ def run(size: Size, progress: Progress) -> Result:
 
 def _solve(degree: int, n: int, cells: str) -> dict[str, Value]:
     domain = domain_of(shapes.mapped(shapes.cube(n), bent, degree), CELLS[cells])
-    _, found = solve_exact(domain, "heat", EXACT)
+    runs = [solve_exact(domain, "heat", EXACT)[1]]
+    while len(runs) < 3 and runs[0]["assemble_s"] + runs[0]["solve_s"] < 1.0:  # short times are noisy: take the best
+        runs.append(solve_exact(domain, "heat", EXACT)[1])
+    found = min(runs, key=lambda run: run["assemble_s"] + run["solve_s"])
     seconds = {"assemble": found["assemble_s"], "solve": found["solve_s"]}
     return {
         "elements": sum(block.elements for block in domain.space.blocks), "functions": domain.space.n,
@@ -116,7 +119,7 @@ def _verdict(made: Table) -> str:
             plain = f"{next(iter(winners.values()))} win at every degree"
         else:
             plain = "; ".join(f"degree {p}: {w}" for p, w in winners.items())
-        parts.append(f"Per {what}: {plain} (for equal L2 error hexes need, as a multiple of what tets need, {said}).")
+        parts.append(f"By {what}: {plain} (for equal L2 error hexes need, as a multiple of what tets need, {said}).")
     return " ".join(parts)
 
 
