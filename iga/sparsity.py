@@ -14,6 +14,7 @@ Axis letters: n function on the element, k distinct slot table, e element.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -141,7 +142,7 @@ def finish(pattern: Sparsity, values: Array, components: int) -> csr_array:
     """
     c, n = components, pattern.n
     size = int(pattern.indptr[-1]) * c * c
-    run([partial(kernels.mirror, pattern.indptr, pattern.indices, values, c, *part) for part in _halves(n)])
+    run([partial(kernels.mirror, pattern.indptr, pattern.indices, values, c, *part) for part in ranges(n)])
     wide = np.int64 if size >= 2**31 else np.int32
     if c == 1:
         # The pattern's arrays are shared by all matrices of the space; a matrix that is changed in place must not
@@ -158,6 +159,41 @@ def finish(pattern: Sparsity, values: Array, components: int) -> csr_array:
     return matrix
 
 
-def _halves(n: int) -> list[tuple[int, int]]:
-    """Parts of the columns for `mirror`: it reads all rows before a part's end."""
-    return ranges(n)
+def symmetric_product(pattern: Sparsity, matrix: csr_array, components: int) -> Callable[[Array], Array]:
+    """Make the product with a symmetric matrix that has a space's sparsity, reading only its upper half.
+
+    A product is limited by memory traffic, and this one needs half of it (for three components a third, as column
+    numbers are those of functions).
+
+    Parameters
+    ----------
+    matrix : (n c, n c) from assembly on the space, symmetric.
+    components : number c, 1 or 3.
+
+    Raises
+    ------
+    InputError : the matrix does not have the pattern.
+    """
+    c = components
+    if c not in (1, 3) or matrix.shape[0] != pattern.n * c or matrix.nnz != c * c * int(pattern.indptr[-1]):
+        raise InputError(f"a matrix {matrix.shape} with {matrix.nnz} entries does not have the space's sparsity")
+    diagonal = kernels.diagonals(pattern.indptr, pattern.indices)
+    kernel = kernels.symmetric_product if c == 1 else kernels.symmetric_product_block
+    # Parts of equal numbers of entries.
+    work = np.cumsum(pattern.indptr[1:] - diagonal)
+    parts = [tuple(np.searchsorted(work, part)) for part in ranges(int(work[-1]))]
+    parts = [(0 if k == 0 else lo, pattern.n if k == len(parts) - 1 else hi) for k, (lo, hi) in enumerate(parts)]
+
+    def product(x: Array) -> Array:
+        given = np.ascontiguousarray(x, dtype=float).reshape((-1,) if c == 1 else (-1, c))
+        results = [np.zeros_like(given) for _ in parts]
+        run([
+            partial(kernel, pattern.indptr, pattern.indices, diagonal, matrix.data, given, y, *part)
+            for part, y in zip(parts, results)
+        ])
+        for other in results[1:]:
+            results[0] += other
+        return results[0].reshape(-1)
+
+    return product
+

@@ -196,6 +196,65 @@ def expand(indptr, indices, c, expanded, lo, hi):
                     expanded[t + c * k + b] = c * indices[begin + k] + b
 
 
+@numba.njit(**OPTIONS)
+def diagonals(indptr, indices):
+    """Place of the diagonal in each row, (n,)."""
+    n = len(indptr) - 1
+    place = np.empty(n, np.int64)
+    for r in range(n):
+        low, high = indptr[r], indptr[r + 1]
+        while low < high:
+            middle = (low + high) // 2
+            if indices[middle] < r:
+                low = middle + 1
+            else:
+                high = middle
+        place[r] = low
+    return place
+
+
+@numba.njit(**OPTIONS)
+def symmetric_product(indptr, indices, diagonal, values, x, y, lo, hi):
+    """Add to y (n,) what rows lo..hi of the upper half give: rows of y by rows, columns by the transpose."""
+    for r in range(lo, hi):
+        mine = x[r]
+        s = values[diagonal[r]] * mine
+        for k in range(diagonal[r] + 1, indptr[r + 1]):
+            column = np.uintp(indices[k])
+            s += values[k] * x[column]
+            y[column] += values[k] * mine
+        y[r] += s
+
+
+@numba.njit(**OPTIONS)
+def symmetric_product_block(indptr, indices, diagonal, values, x, y, lo, hi):
+    """Do as `symmetric_product` with 3 x 3 entries, x and y (n, 3)."""
+    for r in range(lo, hi):
+        begin, end = indptr[r], indptr[r + 1]
+        width = 3 * (end - begin)
+        first = 9 * begin
+        m0, m1, m2 = x[r, 0], x[r, 1], x[r, 2]
+        s0, s1, s2 = 0.0, 0.0, 0.0
+        for k in range(diagonal[r], end):
+            column = np.uintp(indices[k])
+            p = np.uintp(first + 3 * (k - begin))
+            q, t = p + np.uintp(width), p + np.uintp(2 * width)
+            a0, a1, a2 = values[p], values[p + np.uintp(1)], values[p + np.uintp(2)]
+            b0, b1, b2 = values[q], values[q + np.uintp(1)], values[q + np.uintp(2)]
+            c0, c1, c2 = values[t], values[t + np.uintp(1)], values[t + np.uintp(2)]
+            u0, u1, u2 = x[column, 0], x[column, 1], x[column, 2]
+            s0 += a0 * u0 + a1 * u1 + a2 * u2
+            s1 += b0 * u0 + b1 * u1 + b2 * u2
+            s2 += c0 * u0 + c1 * u1 + c2 * u2
+            if k > diagonal[r]:
+                y[column, 0] += a0 * m0 + b0 * m1 + c0 * m2
+                y[column, 1] += a1 * m0 + b1 * m1 + c1 * m2
+                y[column, 2] += a2 * m0 + b2 * m1 + c2 * m2
+        y[r, 0] += s0
+        y[r, 1] += s1
+        y[r, 2] += s2
+
+
 @numba.njit(**_INTEGER)
 def touched(dofs, used):
     """Mark the functions of some elements."""

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
+from iga.assembly import matrix
 from iga.conforming import straight_domain
 from iga.domain import Domain
+from iga.errors import InputError
+from iga.integrands import Diffusion, Elasticity, isotropic
 from iga.parallel import limited, ranges, run
-from iga.sparsity import find, sparsity
+from iga.sparsity import find, sparsity, symmetric_product
 from tests.meshes import mixed_complex
 from tests.splines import cube
 
@@ -56,3 +59,16 @@ def test_ranges_cover_without_empty_parts() -> None:
         assert [i for lo, hi in parts for i in range(lo, hi)] == list(range(n))
         assert all(lo < hi for lo, hi in parts)
     assert run([lambda: 1, lambda: 2, lambda: 3]) == [1, 2, 3]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_product_from_the_upper_half(threads: int) -> None:
+    domain = cube((2, 3, 1), (4, 3, 5))
+    for integrand, c in ((Diffusion(), 1), (Elasticity(isotropic(0.6, 0.4)), 3)):
+        K = matrix(domain, integrand)
+        x = np.random.default_rng(3).normal(size=K.shape[0])
+        with limited(threads):
+            y = symmetric_product(sparsity(domain.space), K, c)(x)
+        np.testing.assert_allclose(y, K @ x, rtol=0, atol=1e-13 * abs(K @ x).max())
+    with pytest.raises(InputError, match="sparsity"):
+        symmetric_product(sparsity(domain.space), matrix(domain, Diffusion()), 3)
