@@ -95,12 +95,20 @@ def find(space: Space) -> Sparsity:
     rank = np.argsort(representative)
     kind = np.argsort(rank)[kind.reshape(-1)]
     rows = representative[rank]
-    pointers, relative = _columns(first, flat, start, around, rows, n)
+    regular = 4 * len(rows) < n
+    if not regular:
+        # Few rows are alike: find all of them, and sort them together by transposing, faster than one by one.
+        rows = kind = np.arange(n)
+    pointers, relative = _columns(first, flat, start, around, rows, n, regular)
     del start, around
     lengths = np.diff(pointers)[kind]
     indptr = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
     indices = np.empty(indptr[-1], np.int32)
-    run([partial(kernels.fill, indptr, kind, pointers, relative, indices, *part) for part in ranges(n)])
+    if regular:
+        run([partial(kernels.fill, indptr, kind, pointers, relative, indices, *part) for part in ranges(n)])
+    else:
+        kernels.transpose(indptr, relative, indices)
+    del relative
 
     run([partial(kernels.slot_keys, first, flat, element_key, kind, element_key, *part) for part in ranges(elements)])
     slots, begin = [], 0
@@ -112,10 +120,11 @@ def find(space: Space) -> Sparsity:
 
 
 def _columns(
-    first: Index, flat: Index, start: Index, around: NDArray[np.int32], rows: Index, n: int
+    first: Index, flat: Index, start: Index, around: NDArray[np.int32], rows: Index, n: int, ordered: bool
 ) -> tuple[Index, NDArray[np.int32]]:
     """Relative columns of some rows, searched by all threads."""
-    parts = run([partial(kernels.columns, first, flat, start, around, rows[lo:hi], n) for lo, hi in ranges(len(rows))])
+    search = partial(kernels.columns, first, flat, start, around)
+    parts = run([partial(search, rows[lo:hi], n, ordered) for lo, hi in ranges(len(rows))])
     counts = np.concatenate([np.diff(pointers) for pointers, _ in parts])
     return np.concatenate([[0], np.cumsum(counts)]), np.concatenate([found for _, found in parts])
 

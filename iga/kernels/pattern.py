@@ -65,8 +65,8 @@ def row_keys(first, dofs, element_key, start, elements, keys, lo, hi):
 
 
 @numba.njit(**_INTEGER)
-def columns(first, dofs, start, elements, rows, n):
-    """Sorted columns of some rows, relative to the row: pointers (len(rows) + 1,) and columns."""
+def columns(first, dofs, start, elements, rows, n, ordered):
+    """Columns of some rows, relative to the row, sorted if ``ordered``: pointers (len(rows) + 1,) and columns."""
     seen = np.full(n, -1, np.int64)
     pointers = np.zeros(len(rows) + 1, np.int64)
     found = np.empty(1024, np.int32)
@@ -87,9 +87,21 @@ def columns(first, dofs, start, elements, rows, n):
                     seen[c] = s
                     found[count] = c - r
                     count += 1
-        found[begin:count].sort()
+        if ordered:
+            found[begin:count].sort()
         pointers[s + 1] = count
     return pointers, found[:count].copy()
+
+
+@numba.njit(**_INTEGER)
+def transpose(indptr, relative, indices):
+    """Sorted columns of a symmetric pattern from unsorted ones relative to the row: those of its transpose."""
+    cursor = indptr[:-1].copy()
+    for r in range(len(indptr) - 1):
+        for k in range(indptr[r], indptr[r + 1]):
+            column = r + relative[k]
+            indices[cursor[column]] = r
+            cursor[column] += 1
 
 
 @numba.njit(**_INTEGER)
