@@ -61,7 +61,7 @@ def run(size: Size, progress: Progress) -> Result:
         for theorem in (1, 3):
             rows.append(_row("random", coefficients, degree, theorem, 10_000, random))
     for name, mesh in progress.track(list(_meshes(size)), "meshes"):
-        points = min(10_000, 4_000_000 // len(mesh.coefficients)) if size == "full" else 500
+        points = 500 if size == "ci" else 10_000 if len(mesh.coefficients) <= 2000 else 1_000
         for theorem in (1, 3):
             row = _row(name, mesh.coefficients, mesh.degree, theorem, points, random)
             rows.append({**row, "mismatch": _mismatch(mesh) if theorem == 3 else None})
