@@ -5,7 +5,8 @@ maximal smoothness. p Gauss points per direction reach the errors of p + 1 to tw
 8.977e-7 against 8.976e-7; elasticity, p = 2, n = 8: 2.85e-4 against 2.88e-4), because they integrate degree 2p - 1
 exactly and smooth splines have no modes that such a rule misses; the error itself is measured with p + 2. The exact
 solution is u = sin(pi x) sin(pi y) sin(pi z) (times 1/3, 2/3 and 1 for the components of elasticity, E = 1, nu = 0.3),
-zero on the boundary. Systems are solved by conjugate gradients, preconditioned by fast diagonalisation, to relative residual 1e-10.
+zero on the boundary. Systems are solved by conjugate gradients, preconditioned by fast diagonalisation, to relative
+residual 1e-10.
 """
 
 from __future__ import annotations
