@@ -2,7 +2,9 @@ r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
 
     interpolate   "auto" (default), "pia", "conjugate", "direct", "pushback" or "none"
     features      "auto" (default), "none" or an angle in degrees
-    depth         levels of subdivision of irregular cells before they are closed; "auto" (default)
+    depth         levels of subdivision of irregular cells before they are closed; "auto" (default): 2, 1 or 0, as the
+                  number of pieces and their validity allow
+    space         "catmull_clark" (default), or "optimal": see `optimal`
     repair        move control points until every cell is certified (default false)
     lambda, mu, gamma    shape parameters of push-back, in (0, 1)
     relaxation    factor of PIA, in (0, 2)
@@ -14,7 +16,8 @@ so that the boundary is interpolated exactly and interior vertices as far as val
 interpolation is left alone. The other settings interpolate every vertex, come what may. ``repair`` does the same
 wherever cells are invalid, with boundary points if interior ones do not suffice.
 
-Refinement is one subdivision step of control points and attributes.
+Refinement is one subdivision step of control points and attributes; the optimal space is built anew on the subdivided
+mesh, over the map of the input mesh.
 """
 
 from __future__ import annotations
@@ -28,15 +31,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.catmull_clark import interpolation
-from geometry.catmull_clark.domain import build_domain
+from geometry.catmull_clark.domain import CUBIC, build_domain
 from geometry.catmull_clark.features import smooth_folds, with_features
 from geometry.catmull_clark.interpolation import Interpolation
-from geometry.catmull_clark.lattice import limit_matrix
+from geometry.catmull_clark.lattice import bezier_matrix, bezier_rows, limit_matrix, refinement_rows
 from geometry.catmull_clark.mesh import SUFFIXES, HexMesh, read_hexes
+from geometry.catmull_clark.optimal import build_optimal
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology, build_topology, with_kinds
 from geometry.catmull_clark.untangling import closures, invalid_cells, untangle
-from iga.domain import Domain, Provenance
+from iga.certificate import certify
+from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -44,10 +49,11 @@ Index = NDArray[np.int64]
 
 name = "catmull_clark"
 METHODS = ("auto", "pia", "conjugate", "direct", "pushback", "none")
-SPACES = ("catmull_clark",)
+SPACES = ("catmull_clark", "optimal")
 PIECES = 30_000
 """Pieces up to which ``depth="auto"`` subdivides irregular cells."""
 _GROWTH = (1, 8, 20)
+_MEASURED = 120_000
 
 
 @dataclass(frozen=True)
@@ -116,11 +122,20 @@ def domain_of(mesh: HexMesh, settings: Settings | None = None, source: str = "")
     report |= {"moved_vertices": int(moved), "invalid_closures": int(invalid)}
     if moved:
         report |= _errors(result.topology, values, given)
-    depth = automatic_depth(result.topology) if settings.depth is None else settings.depth
-    parameters = {k: v for k, v in vars(settings).items() if k != "attributes"} | {"depth": depth}
-    provenance = Provenance(name, source, parameters)
     carried = {key: _column(values, at, mesh.attributes[key]) for key, at in columns.items()}
-    return build_domain(result.topology, values[:, :3].copy(), depth, carried, provenance, report)
+    parameters = {k: v for k, v in vars(settings).items() if k not in ("attributes", "depth")}
+    if settings.space == "optimal":
+        return build_optimal(result.topology, values, 0, columns, Provenance(name, source, parameters), report)
+    depth = automatic_depth(result.topology) if settings.depth is None else settings.depth
+    while True:
+        provenance = Provenance(name, source, parameters | {"depth": depth})
+        domain = build_domain(result.topology, values[:, :3].copy(), depth, carried, provenance, report)
+        # Closures may be valid where the limit itself folds: an automatic depth stops before that.
+        if not depth or settings.depth is not None or invalid or (certify(domain, 1e9).verdict > 0).all():
+            break
+        depth -= 1
+    distance = closure_distance(result.topology, domain.points, depth)
+    return domain if distance is None else with_report(domain, closure_distance=distance)
 
 
 def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
@@ -135,6 +150,14 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
     if levels < 0:
         raise InputError(f"cannot refine {levels} times")
     topology = stored_topology(domain)
+    kept = {k: v for k, v in domain.report.items() if k in _LASTING}
+    if domain.provenance.parameters.get("space") == "optimal":
+        arrays = domain.provenance.arrays
+        columns = {
+            key: slice(int(a), int(b)) for key, (a, b) in zip(domain.attributes, np.asarray(arrays["columns"]))
+        }
+        total = int(domain.report["levels"]) + levels
+        return build_optimal(topology, np.asarray(arrays["control"]), total, columns, domain.provenance, kept)
     points = domain.points
     attributes = {key: np.asarray(values) for key, values in domain.attributes.items()}
     for _ in range(levels):
@@ -143,7 +166,6 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
         attributes = {key: S @ values for key, values in attributes.items()}
     origin = replace(domain.provenance, arrays={})
     depth = int(domain.provenance.parameters["depth"])
-    kept = {k: v for k, v in domain.report.items() if k in _LASTING}
     report = kept | {"levels": int(domain.report.get("levels", 0)) + levels}
     return build_domain(topology, points, depth, attributes, origin, report)
 
@@ -161,12 +183,36 @@ def stored_topology(domain: Domain) -> Topology:
     arrays = domain.provenance.arrays
     if domain.provenance.source != name or not {"hexes", "vertex_kind", "creases"} <= set(arrays):
         raise InputError("the domain carries no Catmull-Clark control mesh")
-    topology = build_topology(np.asarray(arrays["hexes"], dtype=np.int64), domain.space.n)
+    hexes = np.asarray(arrays["hexes"], dtype=np.int64)
+    topology = build_topology(hexes, len(arrays["vertex_kind"]))
     edge = topology.edge_kind.copy()
     keys = topology.edges @ np.array([topology.vertices, 1])
     creases = np.asarray(arrays["creases"], dtype=np.int64) @ np.array([topology.vertices, 1])
     edge[np.searchsorted(keys, creases)] = CREASE
     return with_kinds(topology, np.asarray(arrays["vertex_kind"], dtype=np.int8), edge, topology.face_kind)
+
+
+def closure_distance(topology: Topology, control: Array, depth: int) -> float | None:
+    """Largest distance between limit and closures, over the diagonal, at the next level's vertices; None if too large.
+
+    Measured where the limit is known exactly: at midpoints of edges, faces and cells of the mesh that is closed.
+    """
+    if len(topology.hexes) * 8.0**depth > _MEASURED:
+        return None
+    size = interpolation.diagonal(control)
+    for _ in range(depth):
+        topology, S = subdivide(topology)
+        control = S @ control
+    irregular = np.flatnonzero(~topology.regular_hexes)
+    if not len(irregular):
+        return 0.0
+    points, places = bezier_rows(topology), refinement_rows(topology)
+    net = (bezier_matrix(topology, points, irregular) @ control)[points.cells[irregular]]
+    grid = np.array(list(np.ndindex(3, 3, 3))) / 2.0
+    closure = CUBIC.tabulate(grid, 0)[0] @ net
+    fine, S = subdivide(topology)
+    limit = (limit_matrix(fine) @ (S @ control))[places.cells[irregular]]
+    return float(np.linalg.norm(closure - limit, axis=2).max()) / size
 
 
 def automatic_depth(topology: Topology) -> int:
