@@ -83,7 +83,7 @@ def build_space(topology: Topology, depth: int) -> tuple[Space, dict[str, tuple[
         C = np.stack([pieces.C[p][rows] for p, _, rows in parts])
         block = Block(
             CUBIC,
-            np.concatenate([dofs[k][:, rows] for _, k, rows in parts]),
+            np.ascontiguousarray(np.concatenate([dofs[k][:, rows] for _, k, rows in parts])),
             Patterns(C, np.repeat(np.arange(len(parts)), count)),
             np.concatenate([members[k] for _, k, _ in parts]),
         )
@@ -124,7 +124,7 @@ def _regular_block(
     if distance.min(axis=1).max() > 1e-13 or len(np.unique(order)) != len(order):
         return None
     pattern = np.zeros((len(cells), 3), dtype=np.int64)
-    return Block(CUBIC, dofs[:, order], Kronecker(tuple(f[None] for f in factors), pattern), cells)
+    return Block(CUBIC, np.ascontiguousarray(dofs[:, order]), Kronecker(tuple(f[None] for f in factors), pattern), cells)
 
 
 def _sides(topology: Topology, classes: Classes, parts: list[tuple[Index, Array, Array]]) -> Sides:

@@ -164,7 +164,7 @@ def _lattices(t: Topology, cells: Index) -> tuple[Index, Index]:
     order = np.abs(product[:, None] - C[None]).max(axis=2).argmin(axis=1)
     parts = list(walk(t, cells))  # core cells have one class
     vertex = np.concatenate([part.vertex.reshape(-1, 64) for part in parts])
-    return vertex[:, order], np.concatenate([part.rotation for part in parts])
+    return np.ascontiguousarray(vertex[:, order]), np.concatenate([part.rotation for part in parts])
 
 
 def _mixed(
@@ -208,7 +208,8 @@ def _mixed(
         some = np.concatenate([p[2] for p in parts])
         pattern = np.repeat(np.arange(len(parts)), [len(p[2]) for p in parts])
         C = np.stack([p[0] for p in parts])
-        blocks.append(Block(CUBIC, np.concatenate([p[1] for p in parts]), Patterns(C, pattern), mixed[some]))
+        dofs = np.ascontiguousarray(np.concatenate([p[1] for p in parts]))
+        blocks.append(Block(CUBIC, dofs, Patterns(C, pattern), mixed[some]))
         stored.append((mixed[some], turn[some]))
 
 
