@@ -30,10 +30,10 @@ from iga.block import Block, Kronecker, Patterns, dense_extraction
 from iga.chunk import Chunk, facet_chunks, rule_for
 from iga.domain import Domain, Facets, facets_of
 from iga.errors import InputError
-from iga.factorization import factorize
 from iga.field import Coefficient, Field, evaluate
 from iga.integrands import Diffusion, Elasticity, Load, Mass, strain_operator
-from iga.preconditioners import rigid_motions
+from iga.linear.factorization import factorize
+from iga.linear.preconditioners import rigid_motions
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

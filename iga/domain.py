@@ -104,8 +104,8 @@ class Domain:
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def plot(self, path: str | Path | None = None, **options: Any) -> NDArray[np.uint8]:
-        """Draw the solid off screen, into a PNG file if told; options of `iga.plot.plot_domain`."""
-        from iga.plot import plot_domain  # needs a graphics library, which nothing else here does
+        """Draw the solid off screen, into a PNG file if told; options of `iga.pictures.plot.plot_domain`."""
+        from iga.pictures.plot import plot_domain  # needs a graphics library, which nothing else here does
 
         return plot_domain(self, path, **options)
 

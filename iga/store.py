@@ -32,7 +32,7 @@ from iga.block import Block, Extraction, Kronecker, Patterns
 from iga.cells import CELLS
 from iga.domain import Domain, Facets, Provenance, Space, check
 from iga.errors import FormatError, InputError
-from iga.files import replacing
+from iga.exchange.files import replacing
 
 VERSION = 1
 

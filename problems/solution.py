@@ -22,10 +22,10 @@ from iga.chunk import chunks
 from iga.domain import Domain, max_degree
 from iga.errors import InputError
 from iga.integrands import Load, Mass
+from iga.linear.solvers import solve as solve_linear
 from iga.locate import locate
 from iga.norms import Errors
 from iga.norms import errors as errors_of
-from iga.solvers import solve as solve_linear
 from problems.data import Sample
 from problems.formula import Formula
 
@@ -209,8 +209,8 @@ class Solution:
         return {name: q.evaluate if q.coefficients is None else q.coefficients for name, q in self.quantities.items()}
 
     def plot(self, name: str | None = None, path: str | Path | None = None, **options: Any) -> NDArray[np.uint8]:
-        """Draw a quantity on the solid, off screen, into a PNG file if told; options of `iga.plot.plot_field`."""
-        from iga.plot import plot_field  # needs a graphics library, which a solve does not
+        """Draw a quantity on the solid, off screen, into a PNG file if told; options as `plot_field` has."""
+        from iga.pictures.plot import plot_field  # needs a graphics library, which a solve does not
 
         quantity = self.quantity(name or self.unknown)
         values = quantity.evaluate if quantity.coefficients is None else quantity.coefficients

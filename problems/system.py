@@ -20,10 +20,10 @@ from scipy.sparse import csr_array
 from iga.assembly import matrix, vector
 from iga.conditions import dirichlet
 from iga.domain import Domain
-from iga.eigen import eigenpairs
-from iga.factorization import factorize
 from iga.integrands import Load, Mass
-from iga.solvers import solve
+from iga.linear.eigen import eigenpairs
+from iga.linear.factorization import factorize
+from iga.linear.solvers import solve
 from problems.data import freeze
 
 Array = NDArray[np.float64]

@@ -25,13 +25,13 @@ from iga.assembly import matrix, vector
 from iga.conditions import trace_functions
 from iga.domain import Domain, all_facets
 from iga.errors import InputError
-from iga.fast_diagonalisation import fast_diagonalisation
 from iga.frame import specialised
 from iga.integrands import Diffusion, Elasticity, Load, isotropic
+from iga.linear.fast_diagonalisation import fast_diagonalisation
+from iga.linear.solvers import conjugate_gradients
 from iga.norms import errors
 from iga.operator import operator
 from iga.parallel import limited
-from iga.solvers import conjugate_gradients
 from iga.sparsity import sparsity, symmetric_product
 
 Array = NDArray[np.float64]

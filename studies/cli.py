@@ -106,7 +106,7 @@ def _refine(options: argparse.Namespace) -> Answer:
 
 def _solve(options: argparse.Namespace) -> Answer:
     import problems
-    from iga.export import write_vtu
+    from iga.exchange.export import write_vtu
     from iga.store import load
     from studies.describe import peak_mb, require_valid
 

@@ -17,10 +17,10 @@ import numpy as np
 import geometry
 from geometry.tets import domain_of, read_tets, shapes
 from iga.domain import Domain
-from iga.export import write_vtu
-from iga.plot import can_draw, plot_domain, plot_field
+from iga.exchange.export import write_vtu
+from iga.pictures.plot import can_draw, plot_domain, plot_field
+from iga.pictures.skin import Cut
 from iga.progress import Progress
-from iga.skin import Cut
 from problems import Elasticity, Heat, Solution, benchmarks, elasticity, heat, parse, parse_vector
 from problems.material import isotropic
 from studies.report import Picture, Section, print_run, write_report

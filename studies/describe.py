@@ -11,9 +11,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from iga.certificate import quality
-
 from iga.assembly import volume
+from iga.certificate import quality
 from iga.domain import Domain, counts, max_degree, with_report
 from iga.errors import InputError
 
@@ -93,15 +92,15 @@ def export(domain: Domain, path: Path) -> Path:
     """
     suffix = path.suffix.lower()
     if suffix == ".vtu":
-        from iga.export import write_vtu
+        from iga.exchange.export import write_vtu
 
         return write_vtu(path, domain)
     if suffix == ".vtk":
-        from iga.export import write_vtk
+        from iga.exchange.export import write_vtk
 
         return write_vtk(path, domain)
     if suffix == ".bext":
-        from iga.bext import write_bext
+        from iga.exchange.bext import write_bext
 
         return write_bext(path, domain)
     if suffix == ".xml":

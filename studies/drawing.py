@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from iga.errors import InputError
-from iga.plot import plot_domain, plot_field
-from iga.reading import read_vtu
+from iga.exchange.reading import read_vtu
+from iga.pictures.plot import plot_domain, plot_field
 from iga.store import load
 
 

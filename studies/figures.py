@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from iga.files import replacing
-from iga.picture import STYLE, matplotlib
+from iga.exchange.files import replacing
+from iga.pictures.picture import STYLE, matplotlib
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5b5b5b", "#8c6d31")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from iga.errors import InputError
-from iga.files import write_text
+from iga.exchange.files import write_text
 from studies.table import Column, Table, Value, formatted, render, render_rates
 
 if TYPE_CHECKING:

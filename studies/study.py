@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol, cast
 
 from iga.errors import InputError
-from iga.files import write_text
+from iga.exchange.files import write_text
 from iga.progress import QUIET, Progress
 from studies.table import Column, Difference, Slope, Table, compare, read_csv, to_csv, to_json
 

@@ -22,7 +22,7 @@ from geometry.nurbs.multipatch import Name
 from geometry.nurbs.patch import Patch, make_patch
 from geometry.nurbs.tokens import integers, numbers, read_text
 from iga.errors import FormatError, InputError
-from iga.files import write_text
+from iga.exchange.files import write_text
 
 MAX_DEPTH = 32
 

@@ -14,8 +14,8 @@ from iga.chunk import chunks
 from iga.conditions import dirichlet
 from iga.domain import all_facets, check
 from iga.integrands import Diffusion, Load
+from iga.linear.solvers import solve
 from iga.norms import errors
-from iga.solvers import solve
 from iga.store import load, save
 from tests.geometry.hexes import box, cross_of_tetrahedra, fan
 

@@ -17,8 +17,8 @@ from iga.conditions import dirichlet
 from iga.domain import Domain, all_facets, check
 from iga.errors import InputError
 from iga.integrands import Diffusion, Load
+from iga.linear.solvers import solve
 from iga.norms import errors
-from iga.solvers import solve
 
 PI = np.pi
 # name, parameters, volume, areas of named boundaries

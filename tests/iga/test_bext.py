@@ -8,12 +8,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from iga.bernstein import bernstein
-from iga.bext import read_bext, write_bext
 from iga.block import Block, Kronecker
 from iga.cells import HEXAHEDRON, TETRAHEDRON
 from iga.domain import Domain, Facets, Space
 from iga.errors import FormatError, InputError
-from iga.sampling import Samples
+from iga.exchange.bext import read_bext, write_bext
+from iga.pictures.sampling import Samples
 
 
 def spline(rational=True):

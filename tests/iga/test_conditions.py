@@ -13,8 +13,8 @@ from iga.domain import Domain, Facets, facets_of
 from iga.errors import InputError
 from iga.field import Field
 from iga.integrands import Diffusion, Elasticity, Load, isotropic
+from iga.linear.solvers import solve
 from iga.norms import errors
-from iga.solvers import solve
 from tests.meshes import bend, box_complex, mixed_complex
 from tests.splines import cube
 

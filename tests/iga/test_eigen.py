@@ -11,9 +11,9 @@ from iga.cells import TETRAHEDRON
 from iga.conditions import dirichlet
 from iga.conforming import straight_domain
 from iga.domain import Domain
-from iga.eigen import eigenpairs
 from iga.errors import ConvergenceError, InputError
 from iga.integrands import Diffusion, Elasticity, Mass, isotropic
+from iga.linear.eigen import eigenpairs
 from tests.meshes import box_complex
 from tests.splines import cube
 

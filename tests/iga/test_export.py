@@ -11,9 +11,9 @@ from iga.cells import HEXAHEDRON, PYRAMID, TETRAHEDRON, WEDGE
 from iga.conforming import Complex, straight_domain
 from iga.domain import Domain, Space
 from iga.errors import InputError
-from iga.export import bezier_grid, vtk_order, write_vtk, write_vtu
+from iga.exchange.export import bezier_grid, vtk_order, write_vtk, write_vtu
 from iga.field import Field
-from iga.sampling import Samples, subdivision
+from iga.pictures.sampling import Samples, subdivision
 
 pv = pytest.importorskip("pyvista")
 

@@ -9,9 +9,9 @@ from iga.assembly import matrix
 from iga.cells import HEXAHEDRON
 from iga.domain import Domain
 from iga.errors import InputError
-from iga.fast_diagonalisation import fast_diagonalisation, grid
 from iga.integrands import Diffusion, Elasticity, Mass, isotropic
-from iga.solvers import conjugate_gradients
+from iga.linear.fast_diagonalisation import fast_diagonalisation, grid
+from iga.linear.solvers import conjugate_gradients
 from tests.iga.test_assembly import curved, shuffled, weighted
 from tests.splines import cube
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from iga.errors import InputError
-from iga.files import replacing, write_text
+from iga.exchange.files import replacing, write_text
 from iga.progress import QUIET, Progress, progress
 
 

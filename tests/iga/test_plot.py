@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from iga import plot
 from iga.cells import HEXAHEDRON, PYRAMID, TETRAHEDRON, WEDGE
 from iga.conforming import Complex, boundary, straight_domain
 from iga.domain import Domain
 from iga.errors import InputError
-from iga.picture import trimmed
-from iga.skin import Cut, plane_of, tessellate
+from iga.pictures import plot
+from iga.pictures.picture import trimmed
+from iga.pictures.skin import Cut, plane_of, tessellate
 
 
 def grid(n=3, degree=2):

@@ -15,8 +15,8 @@ from iga.conditions import dirichlet
 from iga.conforming import bezier_domain, straight_domain
 from iga.domain import Domain
 from iga.integrands import Diffusion, Load
+from iga.linear.solvers import solve
 from iga.norms import Errors, errors
-from iga.solvers import solve
 from tests.meshes import bend, box_complex
 
 

@@ -11,9 +11,9 @@ from iga.assembly import integral, volume
 from iga.conforming import straight_domain
 from iga.domain import Domain, Space
 from iga.errors import FormatError
-from iga.export import write_vtu
+from iga.exchange.export import write_vtu
+from iga.exchange.reading import read_vtu
 from iga.field import Field
-from iga.reading import read_vtu
 from tests.meshes import bend, mixed_complex
 
 

@@ -7,7 +7,6 @@ import pytest
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import LinearOperator
 
-from iga import factorization
 from iga.assembly import matrix, vector
 from iga.bernstein import bernstein
 from iga.block import Block
@@ -17,9 +16,10 @@ from iga.conforming import Complex, straight_domain
 from iga.domain import Domain, Facets, Space
 from iga.errors import ConvergenceError, InputError
 from iga.integrands import Diffusion, Elasticity, Load, isotropic
+from iga.linear import factorization
+from iga.linear.preconditioners import linear_prolongation
+from iga.linear.solvers import factorize, solve
 from iga.norms import errors
-from iga.preconditioners import linear_prolongation
-from iga.solvers import factorize, solve
 from tests.meshes import bend, box_complex, mixed_complex
 from tests.splines import cube
 
@@ -200,13 +200,13 @@ def test_operators_and_given_preconditioners() -> None:
 
 
 def test_large_system_goes_to_conjugate_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("iga.solvers.SMALL", 10)
-    monkeypatch.setattr("iga.solvers.DIRECT_OPERATIONS", 1e4)
+    monkeypatch.setattr("iga.linear.solvers.SMALL", 10)
+    monkeypatch.setattr("iga.linear.solvers.DIRECT_OPERATIONS", 1e4)
     domain = bent(HEXAHEDRON, 1, 9)
     K, f = matrix(domain, Diffusion()), vector(domain, Load(1.0))
     u, log = solve(K, f, dirichlet(domain, {"boundary": 0.0}), domain=domain)
     assert (log.solver, log.preconditioner) == ("cg", "smoothed aggregation")
-    monkeypatch.setattr("iga.solvers.DIRECT_OPERATIONS", 1e12)
+    monkeypatch.setattr("iga.linear.solvers.DIRECT_OPERATIONS", 1e12)
     v, log = solve(K, f, dirichlet(domain, {"boundary": 0.0}), domain=domain)
     assert log.solver == "direct"
     assert np.abs(u - v).max() < 1e-11

@@ -70,7 +70,7 @@ def test_direct_and_iterative_agree() -> None:
 
 
 def test_picture(tmp_path) -> None:
-    from iga.plot import can_draw
+    from iga.pictures.plot import can_draw
 
     if not can_draw():
         pytest.skip("no graphics library")

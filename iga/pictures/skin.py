@@ -20,7 +20,7 @@ from iga.cells import LINE, Cell
 from iga.domain import Domain, Facets, Space
 from iga.errors import InputError
 from iga.field import Field
-from iga.sampling import Quantity, Samples, evaluate, subdivision
+from iga.pictures.sampling import Quantity, Samples, evaluate, subdivision
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -289,7 +289,7 @@ def _clipped(shown: _Shown, skin: Skin, plane: Plane, n: int) -> Skin:
     """Clip the skin by the plane and close it with the section through the sampled elements."""
     import pyvista as pv
 
-    from iga.export import linear_grid
+    from iga.exchange.export import linear_grid
 
     mesh = pv.PolyData(skin.points, faces(skin.triangles))
     mesh.point_data["normals"] = skin.normals

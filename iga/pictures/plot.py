@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from iga.domain import Domain
 from iga.errors import InputError
-from iga.picture import Bar, compose, trimmed
-from iga.sampling import named_quantities
-from iga.skin import Cut, Plane, Skin, faces, plane_of, tessellate
+from iga.pictures.picture import Bar, compose, trimmed
+from iga.pictures.sampling import named_quantities
+from iga.pictures.skin import Cut, Plane, Skin, faces, plane_of, tessellate
 
 Array = NDArray[np.float64]
 

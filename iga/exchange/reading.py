@@ -1,4 +1,4 @@
-"""Solids read back from the Bezier cells of a ``.vtu`` file, such as `iga.export.write_vtu` makes.
+"""Solids read back from the Bezier cells of a ``.vtu`` file, such as `iga.exchange.export.write_vtu` makes.
 
 Every cell becomes an element with functions of its own, so fields that jump between elements survive. The boundary is
 found from the corners that cells share. A pyramid comes back as the collapsed hexahedron that the file holds.
@@ -18,7 +18,7 @@ from iga.block import Block
 from iga.cells import HEXAHEDRON, TETRAHEDRON, WEDGE, Cell
 from iga.domain import Domain, Facets, Space
 from iga.errors import FormatError
-from iga.export import vtk_order
+from iga.exchange.export import vtk_order
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -55,7 +55,7 @@ def read_vtu(path: str | Path) -> tuple[Domain, dict[str, Array]]:
     grid = reader.GetOutput()
     if reader.GetErrorCode() or not grid.GetNumberOfCells():
         raise FormatError(f"{path} is not a VTK unstructured grid, or is damaged")
-    types = vtk_to_numpy(grid.GetCellTypesArray())
+    types = vtk_to_numpy(grid.GetCellTypes())
     degrees = grid.GetCellData().GetHigherOrderDegrees()
     if degrees is None or not set(np.unique(types).tolist()) <= set(CELL_OF):
         raise FormatError(f"{path} holds other cells than Bezier hexahedra, tetrahedra and wedges")

@@ -38,11 +38,11 @@ from iga.bernstein import bernstein, elevation, greville
 from iga.block import Block, Kronecker, Patterns, bezier_coefficients, dense_extraction
 from iga.domain import Space
 from iga.errors import InputError
-from iga.factorization import estimate, factorize
 from iga.kernels import patches as patch_kernels
 from iga.kernels import sparse
+from iga.linear.factorization import estimate, factorize
+from iga.linear.products import on_rows, product
 from iga.parallel import ranges, run, threads
-from iga.products import on_rows, product
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

@@ -36,8 +36,8 @@ from iga.block import Block, Kronecker, Patterns, dense_extraction
 from iga.cells import HEXAHEDRON
 from iga.domain import Domain, Facets, Provenance, Space, check
 from iga.errors import FormatError, InputError
-from iga.files import write_text
-from iga.skin import exposed
+from iga.exchange.files import write_text
+from iga.pictures.skin import exposed
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

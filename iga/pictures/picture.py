@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from iga.files import replacing
+from iga.exchange.files import replacing
 
 Pixels = NDArray[np.uint8]
 

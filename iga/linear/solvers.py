@@ -1,8 +1,8 @@
 r"""Solution of K u = f with fixed unknowns and constraints: sparse direct or preconditioned conjugate gradients.
 
 With the constraint u = T z of a space the system is T^T K T z = T^T f; fixed entries of z move to the right-hand side.
-For conjugate gradients (`iga.krylov`) the rest must be symmetric positive definite, so the body must be held
-(`iga.supports`).
+For conjugate gradients (`iga.linear.krylov`) the rest must be symmetric positive definite, so the body must be held
+(`iga.linear.supports`).
 
 Unknown ``i*c + a`` is component a of function i. Axis letters: n unknown, k fixed unknown.
 """
@@ -21,11 +21,11 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from iga.domain import Domain
 from iga.errors import InputError
-from iga.factorization import Factor, checked, estimate, factorize
-from iga.krylov import Progress, conjugate_gradients
-from iga.preconditioners import Preconditioner, aggregation, linear_prolongation, rigid_motions, two_level
-from iga.products import absolute_product, product
-from iga.supports import require_held
+from iga.linear.factorization import Factor, checked, estimate, factorize
+from iga.linear.krylov import Progress, conjugate_gradients
+from iga.linear.preconditioners import Preconditioner, aggregation, linear_prolongation, rigid_motions, two_level
+from iga.linear.products import absolute_product, product
+from iga.linear.supports import require_held
 
 __all__ = ["Factor", "SolveLog", "conjugate_gradients", "factorize", "solve"]
 

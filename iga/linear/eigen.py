@@ -3,7 +3,8 @@ r"""Lowest eigenpairs of K u = lambda M u: modes of vibration and of decay.
 Fixed unknowns are left out. Small and medium problems are solved by Lanczos iteration on (K - s M)^-1 M with a factored
 matrix; the shift s is slightly negative, so that K may be singular (a body that is not held has its rigid motions as
 modes of eigenvalue zero). Where the factorization would be too large, LOBPCG (Knyazev 2001,
-doi:10.1137/S1064827500366124) runs with the preconditioner of `iga.solvers`. Every pair is judged by its residual
+doi:10.1137/S1064827500366124) runs with the preconditioner of `iga.linear.solvers`. Every pair is judged by its
+residual
 
     |K u - lambda M u| <= tol | |K| |u| + |lambda| |M| |u| |,
 
@@ -27,9 +28,9 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, lobp
 
 from iga.domain import Domain
 from iga.errors import ConvergenceError, InputError
-from iga.factorization import Factor, checked, factorize
-from iga.products import absolute_product, product
-from iga.solvers import preconditioner_for, prefer_direct, submatrix
+from iga.linear.factorization import Factor, checked, factorize
+from iga.linear.products import absolute_product, product
+from iga.linear.solvers import preconditioner_for, prefer_direct, submatrix
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

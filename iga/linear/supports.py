@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from iga.errors import InputError
-from iga.products import product
+from iga.linear.products import product
 
 Array = NDArray[np.float64]
 

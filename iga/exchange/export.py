@@ -35,8 +35,8 @@ from iga.bernstein import Bernstein, bernstein, elevation, greville, lagrange_to
 from iga.cells import HEXAHEDRON, PYRAMID, QUADRILATERAL, Cell
 from iga.domain import Domain, Space
 from iga.errors import InputError
-from iga.files import replacing
-from iga.sampling import Quantity, evaluate_block, homogeneous, named_quantities, subdivision
+from iga.exchange.files import replacing
+from iga.pictures.sampling import Quantity, evaluate_block, homogeneous, named_quantities, subdivision
 
 if TYPE_CHECKING:
     from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
@@ -57,8 +57,8 @@ def write_vtu(path: str | Path, domain: Domain, fields: Mapping[str, Any] | None
     ----------
     path : file, ends in ``.vtu``.
     fields : by name: coefficients (n,) or (n, c) in the domain's functions, an object with ``coefficients`` and
-        ``space``, or a function of `iga.sampling.Samples` that returns (m, q) or (m, q, c). Attributes of the domain
-        are written as well.
+        ``space``, or a function of `iga.pictures.sampling.Samples` that returns (m, q) or (m, q, c). Attributes of the
+        domain are written as well.
     degree : least degree of the cells; raise it to interpolate functions better.
 
     Raises

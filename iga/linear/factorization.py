@@ -22,8 +22,8 @@ from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from iga.errors import ConvergenceError, InputError
+from iga.linear.products import product
 from iga.parallel import threads
-from iga.products import product
 
 try:
     import rslab

@@ -1,0 +1,1 @@
+"""Pictures of domains and fields, drawn off screen."""
