@@ -124,7 +124,8 @@ def _regular_block(
     if distance.min(axis=1).max() > 1e-13 or len(np.unique(order)) != len(order):
         return None
     pattern = np.zeros((len(cells), 3), dtype=np.int64)
-    return Block(CUBIC, np.ascontiguousarray(dofs[:, order]), Kronecker(tuple(f[None] for f in factors), pattern), cells)
+    extraction = Kronecker(tuple(f[None] for f in factors), pattern)
+    return Block(CUBIC, np.ascontiguousarray(dofs[:, order]), extraction, cells)
 
 
 def _sides(topology: Topology, classes: Classes, parts: list[tuple[Index, Array, Array]]) -> Sides:
