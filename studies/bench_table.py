@@ -30,7 +30,7 @@ COLUMNS = (
     Column("peak", "time", "MB", format=".0f"),
 )
 SLOPES = (Slope("n_per_dir", "l2_error", ("problem", "mode", "p")),)
-SIZES = {
+SIZES: dict[str, dict[tuple[str, int], tuple[int, ...]]] = {
     "ci": {("heat", 2): (4, 6, 8), ("heat", 3): (4, 6, 8), ("elasticity", 2): (2, 4, 6)},
     "full": {
         ("heat", 2): (8, 16, 24, 32),

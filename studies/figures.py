@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from iga.exchange.files import replacing
 from iga.pictures.picture import STYLE, matplotlib
@@ -30,8 +31,8 @@ class Series:
     """
 
     label: str
-    x: Sequence[float]
-    y: Sequence[float]
+    x: Sequence[float] | NDArray[np.float64]
+    y: Sequence[float] | NDArray[np.float64]
     rate: float | None = None
     family: int | None = None
     dashed: bool = False

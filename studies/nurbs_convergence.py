@@ -9,6 +9,7 @@ splines.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -83,7 +84,7 @@ def _draw(path: Path, made: Table) -> None:
                 for p in DEGREES:
                     rows = [dict(zip(names, row, strict=True)) for row in made.rows if row[:2] == (solid, p)]
                     if rows:
-                        h, error = ([float(r[key]) for r in rows] for key in ("h", norm))
+                        h, error = ([cast(float, r[key]) for r in rows] for key in ("h", norm))
                         rate = float(p + (norm == "l2_error")) if solid == "cube" else None
                         lines.append(Series(f"{solid} $p={p}$", h, error, rate, family=p, dashed=solid == "ring"))
             convergence(axes, lines, "$h$", f"relative error in ${text}$", legend=axes is panels[-1])

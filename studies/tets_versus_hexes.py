@@ -9,6 +9,7 @@ solver, two threads; times depend on the machine and are never held against the 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ SLOPES = (
 EXACT = "sin(2*x)*cos(y)*exp(z)"
 CELLS = {"tets": "none", "hexes": "hex4"}
 # Cells of the cube along a side: so that the hexahedra of the last level have about 1e5 functions at full size.
-LEVELS = {
+LEVELS: dict[str, dict[int, tuple[int, ...]]] = {
     "ci": {1: (2, 4, 6), 2: (1, 2, 4), 3: (1, 2, 3), 4: (1, 2)},
     "full": {1: (2, 4, 8, 16), 2: (2, 4, 6, 8), 3: (1, 2, 4, 6), 4: (1, 2, 3, 4)},
 }
@@ -62,7 +63,8 @@ def run(size: Size, progress: Progress) -> Result:
     _solve(1, 1, "hexes")
     cases = [(p, k, n, cells) for p, ns in LEVELS[size].items() for k, n in enumerate(ns) for cells in CELLS]
     rows = [_row(*case) for case in progress.track(cases, "tets and hexes")]
-    made = table(NAME, COLUMNS, sorted(rows, key=lambda r: (r["cells"] == "hexes", r["degree"], r["level"])), SLOPES)
+    rows.sort(key=lambda r: (r["cells"] == "hexes", cast(int, r["degree"]), cast(int, r["level"])))
+    made = table(NAME, COLUMNS, rows, SLOPES)
     figures = (
         Figure("functions", lambda path: _draw(path, made, "functions", "functions"), "Error against functions."),
         Figure("seconds", lambda path: _draw(path, made, "total", "seconds"), "Error against seconds to solution."),
