@@ -6,6 +6,7 @@ r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
                   number of pieces and their validity allow
     space         "catmull_clark" (default), or "optimal": see `optimal`
     repair        move control points until every cell is certified (default false)
+    pillow        put one new layer of cells under the whole boundary first (default false), see `pillowing`
     lambda, mu, gamma    shape parameters of push-back, in (0, 1)
     relaxation    factor of PIA, in (0, 2)
     attributes    names of point data to carry, separated by commas; by default all
@@ -37,6 +38,7 @@ from geometry.catmull_clark.interpolation import Interpolation
 from geometry.catmull_clark.lattice import bezier_matrix, bezier_rows, limit_matrix, refinement_rows
 from geometry.catmull_clark.mesh import SUFFIXES, HexMesh, read_hexes
 from geometry.catmull_clark.optimal import build_optimal
+from geometry.catmull_clark.pillowing import pillow
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology, build_topology, with_kinds
 from geometry.catmull_clark.untangling import closures, invalid_cells, untangle
@@ -64,6 +66,7 @@ class Settings:
     features: str | float = "auto"
     depth: int | None = None
     repair: bool = False
+    pillow: bool = False
     lam: float = 0.25
     mu: float = 0.125
     gamma: float = 0.0625
@@ -112,6 +115,7 @@ def domain_of(mesh: HexMesh, settings: Settings | None = None, source: str = "")
     source : name of the input, for the provenance.
     """
     settings = settings or Settings()
+    mesh = pillow(mesh) if settings.pillow else mesh
     attributes = _chosen(mesh, settings.attributes)
     topology = with_features(mesh.topology, mesh.points, settings.features)
     given, columns = _stack(mesh.points, attributes)
@@ -326,7 +330,7 @@ def _report(mesh: HexMesh, topology: Topology, result: Interpolation, settings: 
     }
     if len(folds):
         report["folded_cells_first"] = folds[:20].tolist()
-        report["folded_cells_cure"] = "their Jacobian vanishes on a smooth boundary edge: use features=auto"
+        report["folded_cells_cure"] = "their Jacobian vanishes on a smooth edge: use features=auto or pillow=true"
     if len(result.singular):
         report["singular_boundary_note"] = "all its vertices have three boundary faces, where PIA has no fixed point"
     return report
@@ -348,7 +352,7 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     for key, value in renamed.items():
         if key == "depth":
             made[key] = None if str(value) == "auto" else _whole(value)
-        elif key == "repair":
+        elif key in ("repair", "pillow"):
             made[key] = _truth(value, key)
         elif key in ("lam", "mu", "gamma", "relaxation"):
             made[key] = _number(value, "lambda" if key == "lam" else key)

@@ -73,6 +73,20 @@ def test_smooth_folds_are_told() -> None:
     assert found["degenerate"] >= 20
 
 
+@pytest.mark.parametrize("made", [box(3, 3, 3), fan(5)])
+def test_pillowing_cures_smooth_folds(made: tuple[np.ndarray, np.ndarray]) -> None:
+    points, cells = made
+    mesh = hex_mesh(points, cells, {"x": points[:, 0]})
+    domain = source.domain_of(mesh, Settings(features="none", interpolate="none", pillow=True))
+    check(domain)
+    faces = sum(len(f.elements) for f in source.domain_of(mesh, Settings(depth=0)).boundaries.values() for f in f)
+    assert domain.report["folded_cells"] == 0
+    assert domain.report["cells"] == len(cells) + faces
+    found = quality(domain)
+    assert found["certified"] == sum(block.elements for block in domain.space.blocks)
+    np.testing.assert_allclose(domain.attributes["x"], domain.points[:, 0], atol=1e-12)
+
+
 def test_settings_are_checked() -> None:
     for parameters, match in (
         ({"lambda": 1.5}, "lambda must lie"), ({"mu": "x"}, "mu must be a number"), ({"depth": 9}, "depth"),
