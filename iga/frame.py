@@ -36,7 +36,7 @@ Index = NDArray[np.int64]
 PAIRS = tuple((s, t) for s in range(4) for t in range(s, 4))
 """Entries of a symmetric 4 x 4 matrix in the order in which they are stored."""
 
-LITERAL = 2e9
+LITERAL = 5e8
 """Floating-point operations from which on kernels are compiled for the sizes at hand: about what compiling costs."""
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache, lru_cache
@@ -61,6 +61,20 @@ def limited(count: int) -> Iterator[None]:
         numba.set_num_threads(before)
 
 
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Keep BLAS to one thread inside the ``with`` block, where threadpoolctl is installed.
+
+    For products too small to share, whose waiting threads would cost more than they give, and inside threads of ours.
+    """
+    blas = _blas()
+    if blas is None:
+        yield
+    else:
+        with blas.limit(limits=1, user_api="blas"):
+            yield
+
+
 @lru_cache(maxsize=1)
 def _blas() -> Any:
     """Controller of the BLAS thread pools; finding the libraries takes milliseconds, so it is kept."""
@@ -80,8 +94,12 @@ def run(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     """Run tasks side by side, one thread each, and return their results in order."""
     if len(tasks) == 1:
         return [tasks[0]()]
-    waiting = [_pool(len(tasks)).submit(task) for task in tasks[1:]]
-    first = tasks[0]()
+    with one_blas_thread():
+        waiting = [_pool(len(tasks)).submit(task) for task in tasks[1:]]
+        try:
+            first = tasks[0]()
+        finally:
+            wait(waiting)
     return [first, *(w.result() for w in waiting)]
 
 

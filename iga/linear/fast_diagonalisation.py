@@ -22,6 +22,7 @@ Axis letters: d direction, s knot interval, i function of a direction, c compone
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,10 +37,15 @@ from iga.domain import Domain, Space
 from iga.errors import InputError
 from iga.forms import buffers, control_points, known, site, terms
 from iga.frame import Frame
+from iga.parallel import one_blas_thread
 from iga.quadrature import gauss
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+
+SHARED = 300_000
+"""Unknowns from which on the dense products are worth several threads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +120,10 @@ class FastDiagonalisation:
 
     def __call__(self, r: Array) -> Array:
         """Correction for a residual (m,)."""
+        with one_blas_thread() if len(r) < SHARED else nullcontext():
+            return self._apply(r)
+
+    def _apply(self, r: Array) -> Array:
         c = len(self.boxes)
         full = np.zeros((*self.shape, c))
         full.reshape(-1)[self.free] = r
