@@ -61,7 +61,7 @@ class Frame:
     ----------
     block, rule : the elements and the rule.
     rational : (N,) weights of the space's functions, or None.
-    repeat : how many times each element's matrix of one component will be worked on, about.
+    repeat : how many times each element's matrix of one component will be worked on, about; 0 to never specialise.
     """
 
     block: Block
@@ -125,7 +125,7 @@ class Frame:
         """Sizes that the kernels are compiled for; zeros where the work is too little to be worth compiling."""
         n1, n2, n3, q1, _, _ = self.sizes
         flops = 32 * (n1 * n2 * n3) ** 2 * q1 * self.block.elements * self.repeat
-        return self.sizes if flops > LITERAL or _specialise.get() else (0, 0, 0, 0, 0, 0)
+        return self.sizes if self.repeat and (flops > LITERAL or _specialise.get()) else (0, 0, 0, 0, 0, 0)
 
     @cached_property
     def sizes(self) -> tuple[int, int, int, int, int, int]:

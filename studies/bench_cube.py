@@ -109,7 +109,7 @@ def run(problem: str, degree: int, elements: int, threads: int, mode: str = "ass
     with limited(threads):
         began = time.perf_counter()
         with specialised():
-            _solve(problem, _domain(degree, 2), mode)
+            _solve(problem, _domain(degree, 3 * degree), mode)  # large enough for every path that is taken below
         compiled = time.perf_counter()
         domain = _domain(degree, elements)
         built = time.perf_counter()

@@ -195,7 +195,7 @@ def _centre_coefficients(
     domain: Domain, integrand: Callable[[Chunk], Array], structure: Grid, c: int
 ) -> tuple[list[Array], list[Array]]:
     """Coefficients at element centres by component: D_dd (3, s1, s2, s3), and that of the mass term (s1, s2, s3)."""
-    f = Frame(domain.space.blocks[0], gauss(HEXAHEDRON, 1), domain.space.weights)
+    f = Frame(domain.space.blocks[0], gauss(HEXAHEDRON, 1), domain.space.weights, repeat=0)
     work, control = buffers(f, pairs=True), control_points(domain)
     sizes = tuple(len(first) for first in structure.first)
     stiff = [np.zeros((3, *sizes)) for _ in range(c)]
