@@ -154,8 +154,25 @@ def worst(certificate: Certificate, count: int = 10) -> list[dict[str, int | flo
 
 
 def quality(domain: Domain, tolerance: float = 0.1, max_depth: int = 8) -> dict[str, Any]:
-    """Certificate and scaled Jacobian in one dictionary, the ``quality`` of the command line."""
-    return {**summary(certify(domain, tolerance, max_depth)), "scaled_jacobian": scaled_jacobian(domain)}
+    """Certificate and scaled Jacobian in one dictionary, the ``quality`` of the command line.
+
+    ``folds`` lists points where det J < 0, of at most ten refuted elements, the deepest folds first.
+    """
+    certificate = certify(domain, tolerance, max_depth)
+    return {
+        **summary(certificate), "folds": folds(certificate.witnesses), "scaled_jacobian": scaled_jacobian(domain),
+    }
+
+
+def folds(witnesses: Witnesses, count: int = 10) -> list[dict[str, Any]]:
+    """Deepest folds: block, element, xi, x and det J of points where it is negative."""
+    return [
+        {
+            "block": int(witnesses.block[k]), "element": int(witnesses.element[k]), "xi": witnesses.xi[k].tolist(),
+            "x": witnesses.x[k].tolist(), "det": float(witnesses.det[k]),
+        }
+        for k in np.argsort(witnesses.det, kind="stable")[:count]
+    ]
 
 
 @dataclass(eq=False)

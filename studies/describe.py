@@ -50,9 +50,18 @@ def require_valid(domain: Domain) -> None:
     found = domain.report.get("quality") or quality(domain)
     if found["refuted"]:
         raise InputError(
-            f"{found['refuted']} elements are folded (smallest determinant at most {found['min_det_upper']:.3g}); "
+            f"{found['refuted']} elements are folded, {_place(found)} (det J <= {found['min_det_upper']:.3g}); "
             "repair the geometry, or solve all the same with --allow-invalid"
         )
+
+
+def _place(found: dict[str, Any]) -> str:
+    """Where the deepest fold is."""
+    if not found.get("folds"):
+        return "see iga info"
+    fold = found["folds"][0]
+    where = ", ".join(f"{c:.4g}" for c in fold["x"])
+    return f"worst element {fold['element']} of block {fold['block']} at ({where})"
 
 
 def measured_volume(domain: Domain) -> float:

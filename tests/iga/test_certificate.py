@@ -435,7 +435,7 @@ def test_blocks_of_all_cells_and_the_order_of_elements():
     assert (made.upper <= lone + 1e-15).all()
     answer = quality(domain)
     assert set(answer) == {
-        "certified", "refuted", "undecided", "degenerate", "min_det_lower", "min_det_upper", "scaled_jacobian",
+        "certified", "refuted", "undecided", "degenerate", "min_det_lower", "min_det_upper", "folds", "scaled_jacobian",
     }
     assert set(answer["scaled_jacobian"]) == {
         "min", "mean", "share_below_half", "cells_negative_gauss", "cells_negative_centre",

@@ -113,7 +113,11 @@ def test_folded_solids_are_built_and_not_solved(tmp_path: Path, capsys: pytest.C
 
     save(replace(domain, points=points, report={}), path)
     capsys.readouterr()
-    assert answer(capsys, "info", path)["quality"]["refuted"] > 0
+    found = answer(capsys, "info", path)["quality"]
+    assert found["refuted"] > 0
+    assert 0 < len(found["folds"]) <= 10
+    assert found["folds"][0]["det"] < 0
+    assert len(found["folds"][0]["x"]) == 3
     assert "folded" in refused(capsys, "solve", path, "--heat", "--exact", "x")
     assert main(["solve", str(path), "--heat", "--exact", "x", "--allow-invalid"]) in (0, 1)
 
