@@ -30,6 +30,7 @@ STUDIES: dict[str, str] = {
         "tets_versus_hexes",
         "nurbs_convergence",
         "elasticity_benchmarks",
+        "catmull_clark_interpolation",
     )
 } | {"bench_cube": "bench_table"}
 BASELINES = Path(__file__).parent / "baselines"

@@ -36,9 +36,10 @@ from geometry.catmull_clark.domain import CUBIC, build_domain
 from geometry.catmull_clark.features import smooth_folds, with_features
 from geometry.catmull_clark.interpolation import Interpolation
 from geometry.catmull_clark.lattice import bezier_matrix, bezier_rows, limit_matrix, refinement_rows
-from geometry.catmull_clark.mesh import SUFFIXES, HexMesh, read_hexes
+from geometry.catmull_clark.mesh import SUFFIXES, HexMesh, hex_mesh, read_hexes
 from geometry.catmull_clark.optimal import build_optimal
 from geometry.catmull_clark.pillowing import pillow
+from geometry.catmull_clark.shapes import SHAPES
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology, build_topology, with_kinds
 from geometry.catmull_clark.untangling import closures, invalid_cells, untangle
@@ -94,7 +95,7 @@ def build(path: str | Path, **parameters: Any) -> Domain:
 
     Parameters
     ----------
-    path : a mesh that meshio reads.
+    path : a mesh that meshio reads, or the name of a shape (see `shapes`).
     parameters : see the module docstring.
 
     Raises
@@ -103,7 +104,7 @@ def build(path: str | Path, **parameters: Any) -> Domain:
         mesh of hexahedra.
     """
     settings = parse(parameters)
-    mesh = read_hexes(path)
+    mesh = hex_mesh(*SHAPES[str(path)]()) if str(path) in SHAPES else read_hexes(path)
     return domain_of(mesh, settings, Path(path).name)
 
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from geometry.catmull_clark.features import smooth_folds, with_features
 from geometry.catmull_clark.mesh import hex_mesh, read_hexes
+from geometry.catmull_clark.shapes import ball, box, cross_of_tetrahedra, fan, tetrahedron
 from geometry.catmull_clark.topology import MIRROR, build_topology
 from iga.cells import HEXAHEDRON
 from iga.errors import FormatError, InputError
-from tests.geometry.hexes import ball, box, cross_of_tetrahedra, fan, tetrahedron
 
 
 @pytest.mark.parametrize("made", [box(2, 3, 4), ball(), fan(5), tetrahedron(), cross_of_tetrahedra(5)])

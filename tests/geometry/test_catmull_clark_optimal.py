@@ -7,6 +7,7 @@ import pytest
 
 import geometry.catmull_clark as source
 from geometry.catmull_clark.mesh import HexMesh, hex_mesh
+from geometry.catmull_clark.shapes import box, cross_of_tetrahedra, fan
 from geometry.catmull_clark.source import Settings
 from iga.assembly import matrix, vector, volume
 from iga.block import Kronecker
@@ -17,7 +18,6 @@ from iga.integrands import Diffusion, Load
 from iga.linear.solvers import solve
 from iga.norms import errors
 from iga.store import load, save
-from tests.geometry.hexes import box, cross_of_tetrahedra, fan
 
 
 def _mesh(made: tuple[np.ndarray, np.ndarray]) -> HexMesh:

@@ -10,6 +10,7 @@ import geometry.catmull_clark as source
 from geometry.catmull_clark import mean_ratio
 from geometry.catmull_clark.features import with_features
 from geometry.catmull_clark.mesh import hex_mesh
+from geometry.catmull_clark.shapes import ball, box, fan
 from geometry.catmull_clark.source import Settings, parse
 from geometry.catmull_clark.untangling import closures, invalid_cells, untangle
 from iga.assembly import volume
@@ -18,7 +19,6 @@ from iga.certificate import quality
 from iga.domain import check
 from iga.errors import InputError
 from iga.store import load, save
-from tests.geometry.hexes import ball, box, fan
 
 
 def _write(path, points: np.ndarray, cells: np.ndarray, **data: np.ndarray):

@@ -13,6 +13,7 @@ from geometry.catmull_clark.lattice import limit_matrix
 from geometry.catmull_clark.mesh import hex_mesh
 from geometry.catmull_clark.neighbourhood import ROTATIONS, classify
 from geometry.catmull_clark.pieces import pieces_of
+from geometry.catmull_clark.shapes import ball, box, cross_of_tetrahedra, fan
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import FACES, Topology
 from iga.assembly import integral, matrix, volume
@@ -22,7 +23,6 @@ from iga.chunk import chunks, facet_chunks
 from iga.domain import all_facets, check
 from iga.errors import InputError
 from iga.integrands import Diffusion
-from tests.geometry.hexes import ball, box, cross_of_tetrahedra, fan
 
 MESHES = {"box": box(3, 2, 4), "ball": ball(), "fan 3": fan(3), "fan 5": fan(5), "cross 5": cross_of_tetrahedra(5)}
 

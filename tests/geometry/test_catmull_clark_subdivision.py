@@ -9,10 +9,10 @@ from geometry.catmull_clark import interpolation
 from geometry.catmull_clark.features import with_features
 from geometry.catmull_clark.lattice import limit_matrix
 from geometry.catmull_clark.mesh import hex_mesh
+from geometry.catmull_clark.shapes import ball, box, cross_of_tetrahedra, fan, tetrahedron
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import Topology
 from iga.errors import InputError
-from tests.geometry.hexes import ball, box, cross_of_tetrahedra, fan, tetrahedron
 
 MESHES = {
     "box": box(3, 3, 4), "ball": ball(), "fan 3": fan(3), "fan 5": fan(5), "fan 6": fan(6),

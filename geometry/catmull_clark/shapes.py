@@ -1,13 +1,23 @@
-"""Hexahedral meshes made for the tests: boxes, the seven-block ball, fans around an edge, a tetrahedron in four."""
+"""Small hexahedral meshes by name: boxes, the seven-block ball, fans around an edge, tetrahedra in four.
+
+Each function returns points (v, 3) and cells (e, 8) in the order of `iga.cells.HEXAHEDRON`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import NDArray
 
 from iga.cells import HEXAHEDRON, TETRAHEDRON
 
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mesh = tuple[Array, Index]
 
-def box(*n: int) -> tuple[np.ndarray, np.ndarray]:
+
+def box(*n: int) -> Mesh:
     """Points and cells of a box of n1 x n2 x n3 unit cubes."""
     points = np.stack(np.meshgrid(*[np.arange(k + 1) for k in n], indexing="ij"), axis=-1).reshape(-1, 3)
     lower = np.stack(np.meshgrid(*[np.arange(k) for k in n], indexing="ij"), axis=-1).reshape(-1, 1, 3)
@@ -15,7 +25,7 @@ def box(*n: int) -> tuple[np.ndarray, np.ndarray]:
     return points.astype(float), (lower + HEXAHEDRON.vertices.astype(int)) @ strides
 
 
-def ball() -> tuple[np.ndarray, np.ndarray]:
+def ball() -> Mesh:
     """Seven blocks: a cube of half width 1/2 and six around it, out to half width 1."""
     corners = HEXAHEDRON.vertices - 0.5
     points = np.concatenate([corners, 2.0 * corners])
@@ -26,12 +36,12 @@ def ball() -> tuple[np.ndarray, np.ndarray]:
     return points, np.array(cells)
 
 
-def fan(m: int, layers: int = 3, rings: int = 2, seed: int = 7, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def fan(m: int, layers: int = 3, rings: int = 2, seed: int = 7, noise: float = 0.0) -> Mesh:
     """Prism around an edge line of valence m: m sectors of rings x rings quadrilaterals, extruded in layers."""
     numbers: dict[tuple[float, float], int] = {}
-    plane: list[np.ndarray] = []
+    plane: list[Array] = []
 
-    def vertex(p: np.ndarray) -> int:
+    def vertex(p: Array) -> int:
         key = (round(float(p[0]), 9) + 0.0, round(float(p[1]), 9) + 0.0)
         if key not in numbers:
             numbers[key] = len(plane)
@@ -57,15 +67,15 @@ def fan(m: int, layers: int = 3, rings: int = 2, seed: int = 7, noise: float = 0
     return points, cells
 
 
-def tetrahedron() -> tuple[np.ndarray, np.ndarray]:
+def tetrahedron() -> Mesh:
     """One tetrahedron cut into four hexahedra."""
     return split_tetrahedra(TETRAHEDRON.vertices, np.array([[0, 1, 2, 3]]))
 
 
-def split_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def split_tetrahedra(vertices: Array, tetrahedra: Array) -> Mesh:
     """Four hexahedra per tetrahedron, by vertices, edge midpoints, face centroids and the body centroid."""
     numbers: dict[frozenset[int], int] = {}
-    points: list[np.ndarray] = []
+    points: list[Array] = []
 
     def at(*members: int) -> int:
         key = frozenset(members)
@@ -82,10 +92,22 @@ def split_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.n
     return np.array(points), np.array(cells)
 
 
-def cross_of_tetrahedra(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """n tetrahedra around a common edge, each cut in four: interior vertices with mixed valences."""
+def cross_of_tetrahedra(n: int) -> Mesh:
+    """N tetrahedra around a common edge, each cut in four: interior vertices with mixed valences."""
     turn = 2 * np.pi * np.arange(n) / n
     rim = np.column_stack([np.cos(turn), np.sin(turn), 0.2 * np.cos(3 * turn)])
     vertices = np.concatenate([[[0, 0, -1], [0, 0, 1.0]], rim])
     tets = np.array([[0, 1, 2 + k, 2 + (k + 1) % n] for k in range(n)])
     return split_tetrahedra(vertices, tets)
+
+
+def ring_of_tetrahedra() -> Mesh:
+    """Five tetrahedra around an edge, each cut in four."""
+    return cross_of_tetrahedra(5)
+
+
+SHAPES: dict[str, Callable[[], Mesh]] = {
+    "box": lambda: box(3, 3, 3), "ball": ball, "tetrahedron": tetrahedron, "ring": ring_of_tetrahedra,
+    **{f"fan_{m}": (lambda m=m: fan(m)) for m in (3, 5, 6, 8)},
+}
+"""Meshes that `source.build` knows by name."""
