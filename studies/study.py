@@ -31,6 +31,7 @@ STUDIES: dict[str, str] = {
         "nurbs_convergence",
         "elasticity_benchmarks",
         "catmull_clark_interpolation",
+        "catmull_clark_convergence",
     )
 } | {"bench_cube": "bench_table"}
 BASELINES = Path(__file__).parent / "baselines"
