@@ -1,6 +1,7 @@
 """Geometry source for hexahedral meshes: Catmull-Clark solids, smooth volumes with a spline space on any hex mesh."""
 
 from geometry.catmull_clark.mesh import HexMesh, hex_mesh, read_hexes
-from geometry.catmull_clark.source import Settings, build, domain_of, name, reads, refine
+from geometry.catmull_clark.settings import Settings
+from geometry.catmull_clark.source import build, domain_of, name, reads, refine
 
 __all__ = ["HexMesh", "Settings", "build", "domain_of", "hex_mesh", "name", "read_hexes", "reads", "refine"]

@@ -24,7 +24,7 @@ mesh, over the map of the input mesh.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ from geometry.catmull_clark.lattice import bezier_matrix, bezier_rows, limit_mat
 from geometry.catmull_clark.mesh import SUFFIXES, HexMesh, hex_mesh, read_hexes
 from geometry.catmull_clark.optimal import build_optimal
 from geometry.catmull_clark.pillowing import pillow
+from geometry.catmull_clark.settings import NAME, Settings, parse
 from geometry.catmull_clark.shapes import SHAPES
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology, build_topology, with_kinds
@@ -50,30 +51,11 @@ from iga.errors import InputError
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-name = "catmull_clark"
-METHODS = ("auto", "pia", "conjugate", "direct", "pushback", "none")
-SPACES = ("catmull_clark", "optimal")
+name = NAME
 PIECES = 30_000
 """Pieces up to which ``depth="auto"`` subdivides irregular cells."""
 _GROWTH = (1, 8, 20)
 _MEASURED = 120_000
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Settings of a build; see the module docstring."""
-
-    interpolate: str = "auto"
-    features: str | float = "auto"
-    depth: int | None = None
-    repair: bool = False
-    pillow: bool = False
-    lam: float = 0.25
-    mu: float = 0.125
-    gamma: float = 0.0625
-    relaxation: float = 1.0
-    space: str = "catmull_clark"
-    attributes: tuple[str, ...] | None = None
 
 
 def reads(path: str | Path) -> bool:
@@ -335,65 +317,3 @@ def _report(mesh: HexMesh, topology: Topology, result: Interpolation, settings: 
     if len(result.singular):
         report["singular_boundary_note"] = "all its vertices have three boundary faces, where PIA has no fixed point"
     return report
-
-
-def parse(parameters: Mapping[str, Any]) -> Settings:
-    """Settings from parameters as a command line gives them (texts) or as Python values.
-
-    Raises
-    ------
-    InputError : unknown parameter or value.
-    """
-    renamed = {"lam" if key == "lambda" else key: value for key, value in parameters.items()}
-    unknown = sorted(set(renamed) - set(Settings.__dataclass_fields__))
-    if unknown:
-        there = ", ".join("lambda" if key == "lam" else key for key in Settings.__dataclass_fields__)
-        raise InputError(f"the source {name} has no parameter {unknown[0]!r}; there are: {there}")
-    made: dict[str, Any] = {}
-    for key, value in renamed.items():
-        if key == "depth":
-            made[key] = None if str(value) == "auto" else _whole(value)
-        elif key in ("repair", "pillow"):
-            made[key] = _truth(value, key)
-        elif key in ("lam", "mu", "gamma", "relaxation"):
-            made[key] = _number(value, "lambda" if key == "lam" else key)
-        elif key == "attributes":
-            parts = value.split(",") if isinstance(value, str) else value
-            made[key] = tuple(part.strip() for part in parts if part.strip())
-        elif key == "features":
-            made[key] = value if str(value) in ("auto", "none") else _number(value, "features (auto, none, or degrees)")
-        else:
-            made[key] = str(value)
-    settings = Settings(**made)
-    for key, allowed in (("interpolate", METHODS), ("space", SPACES)):
-        if getattr(settings, key) not in allowed:
-            raise InputError(f"{key} is {getattr(settings, key)!r}; it must be one of {', '.join(allowed)}")
-    for key in ("lam", "mu", "gamma"):
-        if not 0.0 < getattr(settings, key) < 1.0:
-            shown = "lambda" if key == "lam" else key
-            raise InputError(f"{shown} must lie between 0 and 1, not {getattr(settings, key):g}")
-    return settings
-
-
-def _whole(value: Any) -> int:
-    try:
-        depth = int(str(value))
-    except ValueError:
-        depth = -1
-    if not 0 <= depth <= 6:
-        raise InputError(f"depth must be auto or a whole number from 0 to 6, not {value!r}")
-    return depth
-
-
-def _number(value: Any, key: str) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{key} must be a number, not {value!r}") from None
-
-
-def _truth(value: Any, key: str) -> bool:
-    text = str(value).lower()
-    if text not in ("true", "false", "1", "0", "yes", "no"):
-        raise InputError(f"{key} must be true or false, not {value!r}")
-    return text in ("true", "1", "yes")

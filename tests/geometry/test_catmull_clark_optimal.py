@@ -7,8 +7,8 @@ import pytest
 
 import geometry.catmull_clark as source
 from geometry.catmull_clark.mesh import HexMesh, hex_mesh
+from geometry.catmull_clark.settings import Settings
 from geometry.catmull_clark.shapes import box, cross_of_tetrahedra, fan
-from geometry.catmull_clark.source import Settings
 from iga.assembly import matrix, vector, volume
 from iga.block import Kronecker
 from iga.chunk import chunks

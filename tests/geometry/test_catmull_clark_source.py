@@ -10,8 +10,8 @@ import geometry.catmull_clark as source
 from geometry.catmull_clark import mean_ratio
 from geometry.catmull_clark.features import with_features
 from geometry.catmull_clark.mesh import hex_mesh
+from geometry.catmull_clark.settings import Settings, parse
 from geometry.catmull_clark.shapes import ball, box, fan
-from geometry.catmull_clark.source import Settings, parse
 from geometry.catmull_clark.untangling import closures, invalid_cells, untangle
 from iga.assembly import volume
 from iga.cells import HEXAHEDRON
