@@ -69,6 +69,7 @@ class Block:
     parent: Index | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "dofs", np.ascontiguousarray(self.dofs, dtype=np.int64))
         sizes = extraction_shape(self)
         if self.dofs.ndim != 2 or sizes != (self.dofs.shape[1], self.basis.n):
             raise InputError(

@@ -9,6 +9,7 @@ h^4 and h^3, over the same volume.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import geometry.catmull_clark as catmull_clark
 from geometry.catmull_clark.shapes import fan
@@ -76,7 +77,7 @@ def _said(made: Table) -> str:
 
 def _draw(path: Path, made: Table) -> None:
     names = [column.name for column in made.columns]
-    rows = [dict(zip(names, row, strict=True)) for row in made.rows]
+    rows: list[dict[str, Any]] = [dict(zip(names, row, strict=True)) for row in made.rows]
     with drawing(path, 1, 2) as panels:
         for axes, norm, text in ((panels[0], "l2_error", "L^2"), (panels[1], "h1_error", "H^1")):
             lines = []

@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,8 @@ METHODS: dict[str, Callable[[Topology, Array], Interpolation]] = {
 
 def run(size: Size, progress: Progress) -> Result:
     """Interpolate all meshes in all ways, with smooth boundaries throughout."""
-    rows, histories = [], {}
+    rows: list[dict[str, Any]] = []
+    histories = {}
     meshes = _meshes(size)
     cases = [(name, method) for name in meshes for method in METHODS]
     for name, method in progress.track(cases, "interpolation"):

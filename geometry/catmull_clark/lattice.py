@@ -65,7 +65,7 @@ def _weights(kind: str, dimension: int) -> Array:
     line = REFINEMENT if kind == "refinement" else BEZIER
     table = np.ones((1, 1))
     for _ in range(dimension):
-        table = np.kron(table, line)
+        table = np.asarray(np.kron(table, line), dtype=np.float64)
     return table
 
 
@@ -174,6 +174,7 @@ def _operator(
         part = _average(members, numbers, rows.kind[:n] == kind, needed, weights, topology.vertices)
         total = part if total is None else total + part
     corners = np.flatnonzero((topology.vertex_kind == CORNER) & needed[: topology.vertices])
+    assert total is not None
     total = total + _unit_rows(corners, corners, np.ones(len(corners)), total.shape)
     return _correct(topology, rows, lattice, total.tocsr(), needed)
 
@@ -214,4 +215,4 @@ def _correct(
     a = 4.0 / valence if lattice == "refinement" else 9.0 / (valence + 5.0)
     scale = np.ones(n)
     scale[row] = a
-    return (diags_array(scale) @ matrix + _unit_rows(row, near[row], 1.0 - a, matrix.shape)).tocsr()
+    return (diags_array(scale) @ matrix + _unit_rows(row, near[row], np.asarray(1.0 - a), matrix.shape)).tocsr()

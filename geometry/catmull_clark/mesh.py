@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,7 +148,7 @@ def read_hexes(path: str | Path) -> HexMesh:
     """
     path = Path(path)
     mesh = _read(path)
-    solid = {}
+    solid: dict[str, int] = {}
     hexes = [np.zeros((0, 8), dtype=np.int64)]
     for block in mesh.cells:
         if block.type == "hexahedron":
@@ -178,7 +179,7 @@ def read_hexes(path: str | Path) -> HexMesh:
         raise InputError(f"{path.name}: {error}") from None
 
 
-def _read(path: Path):
+def _read(path: Path) -> Any:
     import meshio
 
     if not path.is_file():

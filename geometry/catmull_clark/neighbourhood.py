@@ -163,7 +163,9 @@ class _Gather:
         ends = slots[:, EDGES]
         touching = is_root[ends].any(axis=2) & (t.edge_kind[t.hex_edges[member]] == CREASE)
         pairs = np.unique(np.sort(ends[touching], axis=1), axis=0)
-        self.one, self.two = np.concatenate([pairs, pairs[:, ::-1]]).T if len(pairs) else (pairs[:, 0], pairs[:, 1])
+        both = np.concatenate([pairs, pairs[:, ::-1]])
+        self.one: Index = both[:, 0]
+        self.two: Index = both[:, 1]
 
     def refine(self, colour: Colours) -> Colours:
         """One round: take up the views of all cells around, and the far ends of creases."""

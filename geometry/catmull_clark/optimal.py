@@ -121,7 +121,7 @@ def build_optimal(
         key: np.ascontiguousarray(points[:, at] if at.stop - at.start > 1 else points[:, at.start])
         for key, at in attributes.items()
     }
-    arrays = {
+    arrays: dict[str, NDArray[Any]] = {
         "hexes": topology.hexes, "vertex_kind": topology.vertex_kind, "control": control,
         "creases": topology.edges[topology.edge_kind < SMOOTH],
         "columns": np.array([[at.start, at.stop] for at in attributes.values()], dtype=np.int64).reshape(-1, 2),

@@ -6,6 +6,7 @@ Each function returns points (v, 3) and cells (e, 8) in the order of `iga.cells.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +109,6 @@ def ring_of_tetrahedra() -> Mesh:
 
 SHAPES: dict[str, Callable[[], Mesh]] = {
     "box": lambda: box(3, 3, 3), "ball": ball, "tetrahedron": tetrahedron, "ring": ring_of_tetrahedra,
-    **{f"fan_{m}": (lambda m=m: fan(m)) for m in (3, 5, 6, 8)},
+    **{f"fan_{m}": partial(fan, m) for m in (3, 5, 6, 8)},
 }
 """Meshes that `source.build` knows by name."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +100,8 @@ class Topology:
     def regular_vertices(self) -> Flags:
         """Vertices whose star is that of a product mesh, (v,)."""
         odd = np.bincount(self.edges[~self.regular_edges].ravel(), minlength=self.vertices)
-        return (odd == 0) & (self.vertex_cells == np.array([1, 2, 4, 8])[self.vertex_kind])
+        full: Flags = self.vertex_cells == np.array([1, 2, 4, 8])[self.vertex_kind]
+        return cast(Flags, full & (odd == 0))
 
     @cached_property
     def regular_hexes(self) -> Flags:
