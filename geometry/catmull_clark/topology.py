@@ -100,13 +100,12 @@ class Topology:
     def regular_vertices(self) -> Flags:
         """Vertices whose star is that of a product mesh, (v,)."""
         odd = np.bincount(self.edges[~self.regular_edges].ravel(), minlength=self.vertices)
-        full: Flags = self.vertex_cells == np.array([1, 2, 4, 8])[self.vertex_kind]
-        return cast(Flags, full & (odd == 0))
+        return (odd == 0) & (self.vertex_cells == np.array([1, 2, 4, 8])[self.vertex_kind])
 
     @cached_property
     def regular_hexes(self) -> Flags:
         """Cells on which the limit is one tricubic piece, (e,)."""
-        return self.regular_vertices[self.hexes].all(axis=1)
+        return cast(Flags, self.regular_vertices[self.hexes].all(axis=1))
 
     @cached_property
     def cells_of_vertex(self) -> csr_array:
