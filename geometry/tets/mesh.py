@@ -111,8 +111,20 @@ def checked_mesh(
     entries: dict[str, Any] = {**(report or {}), "oriented": int(flip.sum()), "parts": parts}
     if folded:
         entries["folded"] = folded
+    crowded = _crowded_edges(compact, lone)
+    if len(crowded):
+        a, b = used[crowded[0]]
+        entries["non_manifold_edges"] = f"{len(crowded)}, the first between vertices {a} and {b}"
     boundaries = _name_boundary(compact, used, lone, groups or {}, entries)
     return TetMesh(np.ascontiguousarray(compact), coefficients, boundaries, entries)
+
+
+def _crowded_edges(vertices: Index, lone: Index) -> Index:
+    """Edges (k, 2) with more than two boundary triangles: there the solid touches itself."""
+    triangles = vertices[lone[:, :1], FACES[lone[:, 1]]]
+    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2), axis=1)
+    edges, count = np.unique(pairs, axis=0, return_counts=True)
+    return edges[count > 2]
 
 
 def straight_determinants(coefficients: Array) -> Array:

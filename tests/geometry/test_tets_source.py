@@ -7,7 +7,7 @@ import pytest
 
 from geometry.tets.conversion import hex_to_tet_points
 from geometry.tets.domain import domain_of
-from geometry.tets.mesh import TetMesh
+from geometry.tets.mesh import TetMesh, checked_mesh
 from geometry.tets.shapes import ball, cube, mapped
 from geometry.tets.source import build, reads, refine
 from iga.bernstein import bernstein, face_functions
@@ -275,3 +275,12 @@ def test_real_meshes(file, expected, data):
             assert domain.report["conversion_residual"] < 1e-14
         if file.startswith("sphere"):
             assert closing(domain)[0] == pytest.approx(volume(domain), rel=1e-12)
+
+
+def test_a_solid_that_touches_itself_along_an_edge_is_reported():
+    """Two tetrahedra with one edge in common: four boundary triangles meet there."""
+    points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [1, 1, 0], [-1, 0, 0], [-1, -1, 0]], dtype=float)
+    vertices = np.array([[0, 2, 3, 1], [0, 4, 5, 1]])
+    mesh = checked_mesh(vertices, points[vertices])
+    assert mesh.report["non_manifold_edges"] == "1, the first between vertices 0 and 1"
+    assert "non_manifold_edges" not in cube(2).report
