@@ -7,6 +7,7 @@ done; 1: a check failed or a solve did not converge; 2: bad input.
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
 import math
 import os
@@ -182,8 +183,15 @@ def _export(options: argparse.Namespace) -> Answer:
 def _sources(options: argparse.Namespace) -> Answer:
     import geometry
 
+    known = geometry.sources()
+    if options.name is not None:
+        if options.name not in known:
+            raise InputError(f"no geometry source is called {options.name!r}; there are: {', '.join(known)}")
+        build = known[options.name].build
+        texts = [sys.modules[build.__module__].__doc__, build.__doc__]
+        return {"source": options.name, "about": "\n\n".join(inspect.cleandoc(text) for text in texts if text)}
     rows = []
-    for name, source in geometry.sources().items():
+    for name, source in known.items():
         about = (source.__doc__ or "").strip().splitlines()
         rows.append({"source": name, "about": about[0] if about else ""})
     return {"sources": rows}
@@ -274,7 +282,8 @@ def _parser() -> argparse.ArgumentParser:
 
     build = command(
         "build", _build, "turn a file into a domain: spline space, control points, named boundaries, validity proof",
-        "`iga sources` lists the sources; an unknown --set key is answered with the keys that the source knows.",
+        "`iga sources` lists the sources, `iga sources NAME` explains inputs and settings of one. Where no file has\n"
+        "the name, INPUT may be a built-in shape, such as thick_ring, cylinder or ball.",
     )
     build.add_argument("input", metavar="INPUT", help="mesh, spline or CAD file")
     build.add_argument("--source", metavar="NAME", help="geometry source; by default the first that reads the file")
@@ -338,8 +347,9 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("domain", metavar="DOMAIN.npz")
     export.add_argument("-o", "--output", required=True, metavar="FILE", help=".vtu, .vtk, .xml (G+Smo) or .bext")
 
-    sources = command("sources", _sources, "list the geometry sources")
-    sources.set_defaults(show=lambda answer: _show_rows(answer["sources"]))
+    sources = command("sources", _sources, "list the geometry sources, or say all about one")
+    sources.add_argument("name", nargs="?", metavar="NAME", help="source whose inputs and settings to explain")
+    sources.set_defaults(show=lambda a: print(a["about"]) if "about" in a else _show_rows(a["sources"]))
 
     demo = command("demo", _demo, "a tour in three minutes: tables, plots and pictures")
     demo.add_argument("--out", default="results/demo", metavar="DIR")

@@ -131,4 +131,8 @@ def test_help_is_there(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_sources_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert {row["source"] for row in answer(capsys, "sources")["sources"]} >= {"nurbs", "tets"}
+    names = [row["source"] for row in answer(capsys, "sources")["sources"]]
+    assert set(names) >= {"nurbs", "tets", "catmull_clark"}
+    assert "convert" in answer(capsys, "sources", "tets")["about"]
+    assert "elevate" in answer(capsys, "sources", "nurbs")["about"]
+    assert "there are: nurbs" in refused(capsys, "sources", "wood")
