@@ -287,6 +287,14 @@ def greville(basis: LocalBasis) -> Array:
     return np.where(np.array(p) > 0, e / np.maximum(p, 1), 0.5)
 
 
+def functions_at(basis: LocalBasis, points: Array) -> Index:
+    """Number of the function whose domain point is nearest to each reference point (m, d): (m,).
+
+    At ``basis.cell.vertices`` these are the functions that are one at the vertices.
+    """
+    return np.abs(greville(basis)[None] - points[:, None]).max(axis=-1).argmin(axis=1)
+
+
 @cache
 def face_functions(basis: Bernstein, face: int) -> tuple[Bernstein, Index]:
     """Functions that do not vanish on a face.

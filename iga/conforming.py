@@ -18,7 +18,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from iga.bernstein import Bernstein, bernstein, elevation, face_functions, greville
+from iga.bernstein import Bernstein, bernstein, elevation, face_functions, functions_at
 from iga.block import Block
 from iga.cells import TRIANGLE, Cell
 from iga.domain import Domain, Facets, Provenance, Space
@@ -78,7 +78,7 @@ def number(mesh: Complex, degree: int) -> tuple[list[Index], int]:
     renumber = np.cumsum(used) - 1
     start = int(used.sum())
     for block, basis, (cell, vertices) in zip(dofs, bases, mesh.parts):
-        corner = _nearest(basis, cell.vertices)
+        corner = functions_at(basis, cell.vertices)
         block[:, corner] = renumber[vertices]
     start = _number_edges(mesh, bases, dofs, degree, start, total)
     for size in (3, 4):
@@ -89,11 +89,6 @@ def number(mesh: Complex, degree: int) -> tuple[list[Index], int]:
         block[:, free] = start + np.arange(count).reshape(len(block), len(free))
         start += count
     return dofs, start
-
-
-def _nearest(basis: Bernstein, points: Array) -> Index:
-    """Function whose domain point is each given reference point."""
-    return np.abs(greville(basis)[None] - points[:, None]).max(axis=-1).argmin(axis=1)
 
 
 def _number_edges(
@@ -110,7 +105,7 @@ def _number_edges(
         backward = (ends[:, 0] > ends[:, 1]).reshape(len(vertices), -1)
         at += len(ends)
         for k, (a, b) in enumerate(cell.edges):
-            functions = _nearest(basis, cell.vertices[a] + t * (cell.vertices[b] - cell.vertices[a]))
+            functions = functions_at(basis, cell.vertices[a] + t * (cell.vertices[b] - cell.vertices[a]))
             step = np.arange(degree - 1)
             order = np.where(backward[:, k, None], step[::-1], step)
             block[:, functions] = start + edge[:, k, None] * (degree - 1) + order

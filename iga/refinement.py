@@ -23,7 +23,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from iga.bernstein import Bernstein, bernstein, elevation, greville
+from iga.bernstein import Bernstein, bernstein, elevation, functions_at
 from iga.block import Block
 from iga.cells import HEXAHEDRON, TETRAHEDRON, TRIANGLE, WEDGE, Cell
 from iga.conforming import Complex, entity_keys, number
@@ -226,12 +226,9 @@ def complex_of(domain: Domain) -> Complex:
     degrees = {p for block in space.blocks for p in block.basis.degree}
     if space.constraint is not None or len(degrees) != 1 or any(block.extraction is not None for block in space.blocks):
         raise InputError("only a C0 Bernstein domain of one degree can be refined without its source")
-    parts = []
-    for block in space.blocks:
-        cell = block.basis.cell
-        corner = np.abs(greville(block.basis)[None] - cell.vertices[:, None]).max(axis=-1).argmin(axis=1)
-        parts.append((cell, block.dofs[:, corner]))
-    return Complex(tuple(parts))
+    bases = [block.basis for block in space.blocks]
+    corners = [block.dofs[:, functions_at(basis, basis.cell.vertices)] for block, basis in zip(space.blocks, bases)]
+    return Complex(tuple((basis.cell, own) for basis, own in zip(bases, corners)))
 
 
 def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:

@@ -20,7 +20,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from geometry.tets.conversion import degree_of
-from iga.bernstein import bernstein
+from iga.bernstein import bernstein, functions_at
 from iga.cells import TETRAHEDRON
 from iga.conforming import entity_keys
 from iga.errors import InputError
@@ -63,8 +63,7 @@ class TetMesh:
 
 def corner_columns(degree: int) -> Index:
     """Positions (4,) of the coefficients at the vertices."""
-    exponents = bernstein(TETRAHEDRON, degree).exponents
-    return np.array([int(np.flatnonzero(exponents[:, v] == degree)[0]) for v in range(4)])
+    return functions_at(bernstein(TETRAHEDRON, degree), TETRAHEDRON.vertices)
 
 
 def checked_mesh(

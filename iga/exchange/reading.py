@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from iga.bernstein import bernstein, greville
+from iga.bernstein import bernstein, functions_at
 from iga.block import Block
 from iga.cells import HEXAHEDRON, TETRAHEDRON, WEDGE, Cell
 from iga.domain import Domain, Facets, Space
@@ -94,11 +94,7 @@ def _degree(cell: Cell, three: Index) -> tuple[int, ...]:
 
 def _boundary(blocks: list[Block], points: Array) -> tuple[Facets, ...]:
     """Facets whose corners no second cell has; corners are one vertex if they coincide to single precision."""
-    corners = []
-    for block in blocks:
-        cell = block.basis.cell
-        nearest = np.abs(greville(block.basis)[None] - cell.vertices[:, None]).max(axis=-1).argmin(axis=1)
-        corners.append(block.dofs[:, nearest])
+    corners = [block.dofs[:, functions_at(block.basis, block.basis.cell.vertices)] for block in blocks]
     flat = np.concatenate([c.ravel() for c in corners])
     size = float(np.ptp(points, axis=0).max()) or 1.0
     cells = np.round((points[flat] - points.min(axis=0)) / (1e-6 * size)).astype(np.int64)

@@ -34,7 +34,7 @@ import pyamg
 from numpy.typing import NDArray
 from scipy.sparse import bsr_array, coo_array, csr_array, csr_matrix
 
-from iga.bernstein import bernstein, elevation, greville
+from iga.bernstein import bernstein, elevation, functions_at
 from iga.block import Block, Kronecker, Patterns, bezier_coefficients, dense_extraction
 from iga.domain import Space
 from iga.errors import InputError
@@ -163,7 +163,7 @@ def linear_prolongation(space: Space) -> csr_array | None:
     random = np.random.default_rng(20185).random((space.n, 1))
     corner_values = []
     for block in space.blocks:
-        bezier = bezier_coefficients(block, random)[:, _corners(block), 0]
+        bezier = bezier_coefficients(block, random)[:, functions_at(block.basis, block.basis.cell.vertices), 0]
         corner_values.append(bezier)
     vertices, count = _identify(np.concatenate([v.ravel() for v in corner_values]))
     rows: list[Index] = []
@@ -192,12 +192,6 @@ def linear_prolongation(space: Space) -> csr_array | None:
     keep = np.abs(entries) > 1e-12
     made = coo_array((entries[keep], (np.concatenate(rows)[keep], np.concatenate(columns)[keep])), (space.n, count))
     return csr_array(made.tocsr())
-
-
-def _corners(block: Block) -> Index:
-    """Bernstein function at each vertex of the cell."""
-    points, vertices = greville(block.basis), block.basis.cell.vertices
-    return np.abs(points[None] - vertices[:, None]).max(axis=-1).argmin(axis=1)
 
 
 def _local(block: Block) -> tuple[Array, Array, Index]:
