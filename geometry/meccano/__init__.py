@@ -1,0 +1,1 @@
+"""Geometry source "meccano": a closed surface triangulation as a certified spline volume."""
