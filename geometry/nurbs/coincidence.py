@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.nurbs.patch import Patch, derivatives, evaluate
+from geometry.patch import Patch, derivatives, evaluate
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.nurbs.knots import distinct, extraction
+from geometry.knots import distinct, extraction
 from geometry.nurbs.multipatch import Multipatch, face_name, number, parts
-from geometry.nurbs.patch import FACES, Patch
+from geometry.patch import FACES, Patch
 from iga.bernstein import bernstein
 from iga.block import Block, Kronecker
 from iga.cells import HEXAHEDRON

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from geometry.nurbs.multipatch import Name
-from geometry.nurbs.patch import Patch, make_patch
 from geometry.nurbs.tokens import integers, numbers, read_text
+from geometry.patch import Patch, make_patch
 from iga.errors import FormatError, InputError
 
 

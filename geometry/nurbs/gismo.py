@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.nurbs.multipatch import Name
-from geometry.nurbs.patch import Patch, make_patch
 from geometry.nurbs.tokens import integers, numbers, read_text
+from geometry.patch import Patch, make_patch
 from iga.errors import FormatError, InputError
 from iga.exchange.files import write_text
 

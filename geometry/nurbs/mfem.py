@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.nurbs.knots import reversed_knots
+from geometry.knots import reversed_knots
 from geometry.nurbs.multipatch import Name
-from geometry.nurbs.patch import Patch, make_patch
 from geometry.nurbs.tokens import Cursor, read_text
+from geometry.patch import Patch, make_patch
 from iga.errors import FormatError, InputError
 
 Array = NDArray[np.float64]

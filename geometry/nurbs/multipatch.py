@@ -26,9 +26,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
+from geometry.knots import common, normalised
 from geometry.nurbs.coincidence import same_surface
-from geometry.nurbs.knots import common, normalised
-from geometry.nurbs.patch import (
+from geometry.patch import (
     FACES,
     Patch,
     bisect,

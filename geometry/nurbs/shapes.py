@@ -18,10 +18,10 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.nurbs.knots import normalised
+from geometry.knots import normalised
 from geometry.nurbs.multipatch import Multipatch, Name, glue
-from geometry.nurbs.patch import Patch, elevate, face_of, from_homogeneous, homogeneous, insert, split
 from geometry.nurbs.sweep import arc, disc, extrude, quadrilateral, rectangle, revolve, ruled
+from geometry.patch import Patch, elevate, face_of, from_homogeneous, homogeneous, insert, split
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

@@ -19,12 +19,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from geometry.knots import MAX_DEGREE
 from geometry.nurbs import geopdes, gismo, mfem
 from geometry.nurbs.domain import build_domain, from_arrays
-from geometry.nurbs.knots import MAX_DEGREE
 from geometry.nurbs.multipatch import Multipatch, Name, glue, refined
-from geometry.nurbs.patch import Patch, elevate
 from geometry.nurbs.shapes import SHAPES
+from geometry.patch import Patch, elevate
 from iga.domain import Domain
 from iga.errors import FormatError, InputError
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.nurbs.patch import Patch, from_homogeneous, homogeneous
+from geometry.patch import Patch, from_homogeneous, homogeneous
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

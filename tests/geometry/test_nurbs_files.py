@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import geometry
 from geometry.nurbs import gismo, mfem, write_gismo
 from geometry.nurbs.multipatch import glue
-from geometry.nurbs.patch import evaluate
 from geometry.nurbs.source import build, reads, refine
+from geometry.patch import evaluate
 from iga.assembly import integral, volume
 from iga.domain import check, counts
 from iga.errors import FormatError, InputError

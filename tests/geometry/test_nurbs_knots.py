@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from geometry.nurbs.knots import (
+from geometry.knots import (
     apply,
     bisected,
     check_knots,

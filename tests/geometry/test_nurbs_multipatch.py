@@ -9,8 +9,8 @@ import pytest
 
 from geometry.nurbs.domain import build_domain, from_arrays, to_arrays
 from geometry.nurbs.multipatch import Multipatch, glue, number, refined
-from geometry.nurbs.patch import Patch, bisect, elevate, insert, make_patch, reverse
 from geometry.nurbs.shapes import cylinder, fichera, thick_ring, torus
+from geometry.patch import Patch, bisect, elevate, insert, make_patch, reverse
 from iga.assembly import volume
 from iga.domain import check
 from iga.errors import InputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geometry.nurbs.patch import (
+from geometry.patch import (
     Patch,
     bisect,
     derivatives,

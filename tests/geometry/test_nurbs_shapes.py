@@ -7,9 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from geometry.nurbs.patch import evaluate
 from geometry.nurbs.shapes import SHAPES, bench_cube, hollow_sphere_octant, thick_ring, torus
 from geometry.nurbs.source import build, refine
+from geometry.patch import evaluate
 from iga.assembly import integral, matrix, vector, volume
 from iga.certificate import certify, summary
 from iga.chunk import Chunk

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.nurbs.knots import (
+from geometry.knots import (
     Rows,
     apply,
     bisected,
