@@ -148,7 +148,8 @@ def _check_manifold(blocks: Blocks) -> None:
         broken = number[members != 2]
     if len(broken):
         raise InputError(
-            f"blocks touch only at the vertex {blocks.places[broken[0]].tolist()}; fill a block beside it or take one away"
+            f"blocks touch only at the vertex {blocks.places[broken[0]].tolist()}; "
+            "fill a block beside it or take one away"
         )
 
 
@@ -162,7 +163,7 @@ def boundary_corners(blocks: Blocks) -> Index:
 def pillowed(blocks: Blocks, share: float = 0.2) -> Blocks:
     """The meccano with one new block under each boundary side, so that no block has two sides on the boundary.
 
-    The old blocks come first and keep their axes; boundary corners of the picture get a copy inside that is ``share`` of
+    The old blocks come first and keep their axes. Boundary corners of the picture get a copy inside, ``share`` of
     a side's length below each side at the corner. New blocks follow in the order of ``blocks.boundary_sides``; their
     boundary sides keep that order and the coordinates s. The axis that runs outwards is the last one (the first one, in
     the plane), so that the new blocks are positive.
