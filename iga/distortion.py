@@ -1,0 +1,200 @@
+r"""Distortion of the elements of a domain, as an energy of its control points with its gradient.
+
+    E(P) = sum_e v_e mean_q eta(J_e(xi_q) T_e^-1)^p
+
+with the regularised mean ratio eta (`iga.kernels.distortion`) at sample points xi_q of every element, the Jacobian
+matrices T_e of the ideal elements and weights v_e. Gradients go back through the extraction by its transpose, so they
+are exact for any domain, rational or not.
+
+Axis letters: e element, q sample point, n function, b Bernstein function, c component, d reference dimension, s channel
+(the three derivatives, for rational maps the value before them).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from iga.bernstein import LocalBasis, functions_at
+from iga.block import Block, Kronecker, Patterns, bezier_coefficients
+from iga.cells import HEXAHEDRON, PYRAMID, TETRAHEDRON, WEDGE, Cell
+from iga.domain import Domain
+from iga.kernels import distortion as kernel
+from iga.parallel import ranges, run
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+CHUNK = 64
+"""Elements worked on at a time: their derivatives fit the cache."""
+
+_NEAR_APEX = 0.98
+
+# Columns are the derivatives of the ideal cell of unit edges.
+_IDEAL = {
+    "hexahedron": np.eye(3),
+    "tetrahedron": np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), np.sqrt(1.0 / 12.0)], [0.0, 0.0, np.sqrt(2 / 3)]]),
+    "wedge": np.array([[1.0, 0.5, 0.0], [0.0, np.sqrt(0.75), 0.0], [0.0, 0.0, 1.0]]),
+    "pyramid": np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, np.sqrt(0.5)]]),
+}
+# Edges whose mean length scales each column of the ideal cell.
+_EDGES: dict[str, tuple[list[int], ...]] = {
+    "hexahedron": tuple(
+        [k for k, (a, b) in enumerate(HEXAHEDRON.edges) if HEXAHEDRON.vertices[a, d] != HEXAHEDRON.vertices[b, d]]
+        for d in range(3)
+    ),
+    "tetrahedron": (list(range(6)),) * 3,
+    "wedge": (list(range(3, 9)), list(range(3, 9)), [0, 1, 2]),
+    "pyramid": (list(range(4)), list(range(4)), list(range(8))),
+}
+
+
+@cache
+def sample_points(cell: Cell, n: int) -> Array:
+    """Lattice (q, 3) with n points along each edge of a cell, boundary included (of the pyramid, the apex nearly)."""
+    line = np.linspace(0.0, 1.0, n)
+    grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    if cell is TETRAHEDRON:
+        grid = grid[grid.sum(axis=1) <= 1.0 + 1e-12]
+    elif cell is WEDGE:
+        grid = grid[grid[:, :2].sum(axis=1) <= 1.0 + 1e-12]
+    elif cell is PYRAMID:
+        c = _NEAR_APEX * grid[:, 2:]
+        grid = np.concatenate([grid[:, :2] * (1.0 - c), c], axis=1)
+    grid.setflags(write=False)
+    return grid
+
+
+def own_shapes(domain: Domain) -> tuple[Array, ...]:
+    """Ideal elements of the domain's own edge lengths: Jacobian matrices (e, 3, 3) for each block.
+
+    The straight, right-angled hexahedron with the mean lengths of the four edges in each direction, the regular
+    tetrahedron, and what lies between them for wedge and pyramid.
+    """
+    made = []
+    for block in domain.space.blocks:
+        cell = block.basis.cell
+        at = functions_at(block.basis, cell.vertices)
+        corners = np.concatenate([
+            bezier_coefficients(block, domain.points, slice(a, a + 4096))[:, at]
+            for a in range(0, max(block.elements, 1), 4096)
+        ])
+        ends = corners[:, cell.edges]
+        length = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
+        scale = np.stack([length[:, list(edges)].mean(axis=1) for edges in _EDGES[cell.name]], axis=1)
+        scale = np.maximum(scale, 1e-3 * scale.max(axis=1, keepdims=True))
+        made.append(_IDEAL[cell.name] * scale[:, None, :])
+    return tuple(made)
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Elements of one block and their sample points.
+
+    Attributes
+    ----------
+    block : the elements, with functions numbered as in the values that `evaluate` gets.
+    table : (b, s q) values and derivatives of the Bernstein functions at points that all elements share, or
+        (e, b, s q) at points of their own.
+    channels : s, 3 or 4.
+    inverse : (e, 3, 3) inverse Jacobian matrices of the ideal elements.
+    weight : (e,)
+    group : (e,) which number of ``delta`` regularises each element.
+    """
+
+    block: Block
+    table: Array
+    channels: int
+    inverse: Array
+    weight: Array
+    group: Index
+
+
+def table_at(basis: LocalBasis, points: Array, rational: bool) -> Array:
+    """Table (b, s q) of a basis at shared points (q, 3)."""
+    values, slopes = basis.tabulate(points, 1)
+    rows = [slopes[..., d] for d in range(3)]
+    return np.ascontiguousarray(np.concatenate([values, *rows] if rational else rows).T)
+
+
+def tables_at(basis: LocalBasis, points: Array, rational: bool) -> Array:
+    """Tables (e, b, s) of a basis at one point (e, 3) of each element."""
+    values, slopes = basis.tabulate(points, 1)
+    return np.ascontiguousarray(np.concatenate([values[..., None], slopes], axis=2) if rational else slopes)
+
+
+def evaluate(
+    batches: Sequence[Batch], values: Array, delta: Array, power: float
+) -> tuple[float, Array, list[Array], list[Array]]:
+    """Energy of batches and its gradient.
+
+    Parameters
+    ----------
+    values : (n, 3) control points, or (n, 4) homogeneous ones (w x, w) of rational maps.
+    delta : (g,) regularisation of each group of elements.
+    power : p.
+
+    Returns
+    -------
+    energy, gradient (n, 3) by the first three columns of ``values``, and for each batch the energy and the smallest
+    det S of each of its elements.
+    """
+    energies = [np.empty(b.block.elements) for b in batches]
+    least = [np.empty(b.block.elements) for b in batches]
+    parts = ranges(sum(b.block.elements for b in batches))
+    gradients = [np.zeros((len(values), 3)) for _ in parts]
+
+    def work(first: int, last: int, gradient: Array) -> None:
+        start = 0
+        for k, batch in enumerate(batches):
+            low, high = max(first - start, 0), min(last - start, batch.block.elements)
+            for a in range(low, high, CHUNK):
+                own = slice(a, min(a + CHUNK, high))
+                _chunk(batch, own, values, delta, power, gradient, energies[k][own], least[k][own])
+            start += batch.block.elements
+
+    run([partial(work, a, b, g) for (a, b), g in zip(parts, gradients)])
+    return float(sum(e.sum() for e in energies)), sum(gradients[1:], gradients[0]), energies, least
+
+
+def _chunk(
+    batch: Batch, own: slice, values: Array, delta: Array, power: float, gradient: Array, energy: Array, least: Array
+) -> None:
+    block, shared = batch.block, batch.table.ndim == 2
+    dofs, extraction = block.dofs[own], block.extraction
+    e, c, b = len(dofs), values.shape[1], block.basis.n
+    net = np.empty((e, c, b))
+    if extraction is None:
+        kernel.collect(values, dofs, net)
+    elif isinstance(extraction, Patterns):
+        kernel.collect_patterns(values, dofs, extraction.C, extraction.pattern[own], net)
+    else:
+        kernel.collect_products(values, dofs, *_three(extraction), extraction.pattern[own], net)
+    table = batch.table if shared else batch.table[own]
+    J = (net.reshape(e * c, b) @ table if shared else net @ table).reshape(e, c, batch.channels, -1)
+    D = np.empty_like(J)
+    rational = batch.channels == 4
+    if rational:
+        kernel.divide(J)
+    kernel.distortion(
+        J, batch.channels - 3, batch.inverse[own], delta[batch.group[own]], power, batch.weight[own], D, energy, least
+    )
+    if rational:
+        kernel.undivide(J, D)
+    back = np.swapaxes(table, -1, -2)
+    slope = (D.reshape(e * c, -1) @ back if shared else D.reshape(e, c, -1) @ back).reshape(e, c, b)
+    if extraction is None:
+        kernel.scatter(slope, dofs, gradient)
+    elif isinstance(extraction, Patterns):
+        kernel.scatter_patterns(slope, dofs, extraction.C, extraction.pattern[own], gradient)
+    else:
+        kernel.scatter_products(slope, dofs, *_three(extraction), extraction.pattern[own], gradient)
+
+
+def _three(extraction: Kronecker) -> tuple[Array, Array, Array]:
+    a, b, c = extraction.factors
+    return a, b, c

@@ -1,0 +1,384 @@
+r"""Valid and well-shaped elements by moving control points, with the certificate in the loop.
+
+The regularised mean ratio (`iga.distortion`) is minimised over the control points that are free. Its parameter delta
+makes it finite on folded elements: for each connected group of elements the smallest delta for which h(sigma) >=
+EPSILON at the worst sample point, delta = (EPSILON (EPSILON - sigma_min))^(1/2) where sigma_min < EPSILON, else 0,
+renewed as the elements unfold (Escobar et al. 2003). Rounds of descent alternate with the certificate of the elements
+concerned. What is not certified is where the next round works: its surroundings are free to move, and its worst points
+become sample points. Elsewhere nothing moves, and control points that are not free keep their values bit by bit.
+
+Axis letters: e element, n function, q sample point, c component, d reference dimension.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import block_array, coo_array, csr_array, diags_array, eye_array
+from scipy.sparse.csgraph import connected_components
+
+from iga.block import Block, Extraction, Kronecker, Patterns
+from iga.certificate import Witnesses, certify
+from iga.descent import descend
+from iga.distortion import Batch, evaluate, own_shapes, sample_points, table_at, tables_at
+from iga.domain import Domain, Space
+from iga.errors import InputError
+from iga.progress import QUIET, Progress
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+EPSILON = 0.05
+_EXTRA_WEIGHT = 0.2
+_KEPT = 6
+"""Most sample points of its own that an element has."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round: elements not certified after it, functions free in it, elements seen, smallest det S after it."""
+
+    invalid: int
+    free: int
+    elements: int
+    least: float
+
+
+@dataclass(frozen=True, eq=False)
+class Untangled:
+    """Result of `untangle` and `smooth`.
+
+    Attributes
+    ----------
+    points : (n, 3) control points.
+    invalid : (k, 2) block and number of the elements that are not certified.
+    moved : (m,) functions whose control points differ from the given ones.
+    history : the rounds.
+    """
+
+    points: Array
+    invalid: Index
+    moved: Index
+    history: tuple[Round, ...]
+
+
+def untangle(
+    domain: Domain,
+    free: Mask,
+    shapes: Sequence[Array] | None = None,
+    rounds: int = 12,
+    iterations: int = 60,
+    samples: int = 3,
+    power: float = 2.0,
+    patience: int = 4,
+    depth: int = 6,
+    shown: Progress = QUIET,
+) -> Untangled:
+    """Move free control points until every element is certified, as far as that succeeds.
+
+    Parameters
+    ----------
+    domain : a solid.
+    free : (n,) which control points may move. With a constraint T, coefficients move that act on free points alone.
+    shapes : Jacobian matrices (e, 3, 3) of the ideal elements of each block, by default `own_shapes`.
+    rounds : most rounds; ``patience`` of them without progress end it.
+    iterations : most descent steps for each value of delta.
+    samples : sample points along each edge of an element.
+    power : p of the mean ratio.
+    depth : depth of the certificates.
+
+    Raises
+    ------
+    InputError : arrays do not fit the domain.
+    """
+    task = _Task(domain, free, shapes, samples, power)
+    points = domain.points.copy()
+    invalid, worst = task.check(points, np.arange(task.elements), depth)
+    history = [Round(len(invalid), 0, task.elements, np.nan)]
+    concerned = np.zeros(task.elements, dtype=bool)
+    best, since, reach = len(invalid), 0, 1
+    while len(invalid) and since < patience and len(history) <= rounds:
+        concerned[:] = False
+        concerned[invalid] = True
+        task.add(worst)
+        open_ = task.touching(task.grown(concerned, reach - 1))
+        seen = np.flatnonzero(task.elements_of(open_))
+        if not len(seen):
+            break
+        step, least = task.minimise(points, open_, seen, iterations)
+        points = points + task.moves @ step
+        left, worst = task.check(points, seen, depth)
+        kept = np.ones(task.elements, dtype=bool)
+        kept[seen] = False
+        invalid = np.concatenate([invalid[kept[invalid]], left])
+        history.append(Round(len(invalid), int(open_.sum()), len(seen), least))
+        shown.say(f"untangling: {len(invalid)} elements not certified ({len(seen)} moved)")
+        reach = reach if len(invalid) < 0.7 * best else reach + 1
+        since = 0 if len(invalid) < best else since + 1
+        best = min(best, len(invalid))
+    return task.result(points, invalid, history)
+
+
+def smooth(
+    domain: Domain,
+    free: Mask,
+    shapes: Sequence[Array] | None = None,
+    rounds: int = 2,
+    iterations: int = 40,
+    samples: int = 3,
+    power: float = 2.0,
+    depth: int = 6,
+    shown: Progress = QUIET,
+) -> Untangled:
+    """Improve the shapes of all elements of a valid domain, which stays valid; parameters as in `untangle`.
+
+    Each round descends with all free control points (without regularisation: no sample point can fold). Control points
+    around elements that are then not certified go back towards where they were, in halves, until all are certified.
+    Elements invalid at the start are left alone, with their surroundings.
+    """
+    task = _Task(domain, free, shapes, samples, power)
+    points = domain.points.copy()
+    broken, _ = task.check(points, np.arange(task.elements), depth)
+    history = [Round(len(broken), 0, task.elements, np.nan)]
+    mask = np.zeros(task.elements, dtype=bool)
+    mask[broken] = True
+    open_ = task.open & ~task.touching(mask)
+    seen = np.flatnonzero(task.elements_of(open_))
+    for _ in range(rounds if len(seen) else 0):
+        step, least = task.minimise(points, open_, seen, iterations)
+        invalid, worst = task.check(points + task.moves @ step, seen, depth)
+        task.add(worst)
+        share = np.ones(task.columns)
+        count = len(invalid)
+        while len(invalid):
+            mask[:] = False
+            mask[invalid] = True
+            back = task.touching(mask)
+            share[back] = np.where(share[back] > 0.2, 0.5 * share[back], 0.0)
+            near = np.flatnonzero(task.elements_of(back))
+            invalid, _ = task.check(points + task.moves @ (share[:, None] * step), near, depth)
+        points = points + task.moves @ (share[:, None] * step)
+        history.append(Round(count, int(open_.sum()), len(seen), least))
+        shown.say(f"smoothing: {count} elements held back")
+    return task.result(points, broken, history)
+
+
+class _Task:
+    """A domain with what may move in it."""
+
+    def __init__(
+        self, domain: Domain, free: Mask, shapes: Sequence[Array] | None, samples: int, power: float
+    ) -> None:
+        space = domain.space
+        if free.shape != (space.n,) or free.dtype != np.bool_:
+            raise InputError(f"free must be {space.n} truth values, not {free.dtype} {free.shape}")
+        shapes = own_shapes(domain) if shapes is None else shapes
+        wanted = [(b.elements, 3, 3) for b in space.blocks]
+        if [s.shape for s in shapes] != wanted:
+            raise InputError(f"ideal shapes must be arrays {wanted}, not {[s.shape for s in shapes]}")
+        self.domain, self.samples, self.power = domain, samples, power
+        self.inverse = [np.linalg.inv(s) for s in shapes]
+        self.offsets = np.concatenate([[0], np.cumsum([b.elements for b in space.blocks])]).astype(np.int64)
+        self.elements = int(self.offsets[-1])
+        T = space.constraint
+        self.moves: csr_array = csr_array(eye_array(space.n)) if T is None else csr_array(T)
+        held = abs(self.moves).T @ (~free).astype(float) > 0.0
+        self.columns = self.moves.shape[1]
+        self.open: Mask = ~held
+        size = np.concatenate([np.cbrt(np.abs(np.linalg.det(s))) for s in shapes] or [np.empty(0)])
+        incidence = _incidence(space, self.elements)
+        # Elements by the columns that move them, and the size of the smallest element that a column moves.
+        self.around: csr_array = csr_array(abs(incidence @ abs(self.moves)))
+        self.around.data[:] = 1.0
+        self.scale = np.full(self.columns, np.inf)
+        coo = self.around.tocoo()
+        np.minimum.at(self.scale, coo.coords[1], size[coo.coords[0]])
+        self.scale[~np.isfinite(self.scale)] = 1.0
+        self.extras: list[tuple[Index, Array]] = []
+
+    def touching(self, elements: Mask) -> Mask:
+        """Open columns that move some of the elements."""
+        return self.open & np.asarray(self.around.T @ elements.astype(float) > 0.0)
+
+    def elements_of(self, columns: Mask) -> Mask:
+        """Elements that some of the columns move."""
+        return np.asarray(self.around @ columns.astype(float) > 0.0)
+
+    def grown(self, elements: Mask, rings: int) -> Mask:
+        """Elements with so many rings of neighbours."""
+        for _ in range(rings):
+            elements = elements | self.elements_of(self.touching(elements))
+        return elements
+
+    def check(self, points: Array, elements: Index, depth: int) -> tuple[Index, tuple[Index, Array]]:
+        """Elements that are not certified, and (element, xi) of points where det J is lowest in them."""
+        part, numbers = self._part(points, elements)
+        made = certify(part, tolerance=1e9, max_depth=depth)
+        invalid = numbers[made.verdict <= 0]
+        return invalid, self._worst(part, made.witnesses, numbers, made.offsets, np.flatnonzero(made.verdict == 0))
+
+    def _worst(
+        self, part: Domain, witnesses: Witnesses, numbers: Index, offsets: Index, undecided: Index
+    ) -> tuple[Index, Array]:
+        found = [numbers[offsets[witnesses.block] + witnesses.element]]
+        xi = [witnesses.xi]
+        for k, block in enumerate(part.space.blocks):
+            mine = undecided[(undecided >= offsets[k]) & (undecided < offsets[k + 1])]
+            if not len(mine):
+                continue
+            grid = sample_points(block.basis.cell, 9)
+            low = _determinants(part, k, mine - offsets[k], grid).argmin(axis=1)
+            found.append(numbers[mine])
+            xi.append(grid[low])
+        return np.concatenate(found), np.concatenate(xi)
+
+    def _part(self, points: Array, elements: Index) -> tuple[Domain, Index]:
+        """Domain of some elements, and their numbers, blocks one after the other."""
+        blocks, numbers = [], []
+        for k, block in enumerate(self.domain.space.blocks):
+            mine = elements[(elements >= self.offsets[k]) & (elements < self.offsets[k + 1])]
+            if len(mine):
+                blocks.append(_some(block, mine - self.offsets[k]))
+                numbers.append(mine)
+        space = replace(self.domain.space, blocks=tuple(blocks), constraint=None)
+        return Domain(space, points), np.concatenate(numbers) if numbers else np.empty(0, dtype=np.int64)
+
+    def add(self, worst: tuple[Index, Array]) -> None:
+        """Remember sample points (element, xi)."""
+        if len(worst[0]):
+            near = np.array([self._off_apex(e, x) for e, x in zip(*worst)])
+            self.extras = [*self.extras[-(_KEPT - 1) :], (worst[0], near)]
+
+    def _off_apex(self, element: int, xi: Array) -> Array:
+        block = int(np.searchsorted(self.offsets, element, side="right")) - 1
+        if self.domain.space.blocks[block].basis.cell.name != "pyramid" or xi[2] < 1.0 - 1e-6:
+            return xi
+        return np.array([*(xi[:2] if xi[2] < 1.0 else np.zeros(2)), 1.0 - 1e-6])
+
+    def minimise(self, points: Array, open_: Mask, seen: Index, iterations: int) -> tuple[Array, float]:
+        """Steps of the columns (m, 3) by descent over the open ones, and the smallest det S at samples of ``seen``."""
+        columns = np.flatnonzero(open_)
+        group, groups = self._groups(columns, seen)
+        batches, used = self._batches(seen, group)
+        moves = csr_array(self.moves[used][:, columns] @ diags_array(self.scale[columns]))
+        back = csr_array(moves.T)
+        weights = self.domain.space.weights
+        own = None if weights is None else weights[used][:, None]
+        base = points[used] if own is None else np.column_stack([points[used] * own, own])
+        if own is not None:
+            moves = csr_array(diags_array(own.ravel()) @ moves)
+            back = csr_array(moves.T)
+        values = base.copy()
+        delta = np.zeros(groups)
+
+        def energy(z: Array) -> tuple[float, Array]:
+            values[:, :3] = base[:, :3] + moves @ z.reshape(-1, 3)
+            value, gradient, _, _ = evaluate(batches, values, delta, self.power)
+            return value, (back @ gradient).ravel()
+
+        def lowest(z: Array) -> Array:
+            values[:, :3] = base[:, :3] + moves @ z.reshape(-1, 3)
+            least = evaluate(batches, values, np.ones(groups), self.power)[3]
+            low = np.full(groups, np.inf)
+            for batch, own_least in zip(batches, least):
+                np.minimum.at(low, batch.group, own_least)
+            return low
+
+        z = np.zeros(3 * len(columns))
+        low = lowest(z)
+        for _ in range(6):
+            folded = low < EPSILON
+            delta = np.where(folded, np.sqrt(EPSILON * np.where(folded, EPSILON - low, 0.0)), 0.0)
+            z = descend(energy, z, iterations).x
+            before, low = low, lowest(z)
+            if not (delta > 0.0).any() or not (low > before + 0.01 * np.abs(before)).any():
+                break
+        step = np.zeros((self.columns, 3))
+        step[columns] = self.scale[columns, None] * z.reshape(-1, 3)
+        return step, float(low.min(initial=np.inf))
+
+    def _groups(self, columns: Index, seen: Index) -> tuple[Index, int]:
+        """Connected group of each element seen, joined by open columns, and how many there are."""
+        part = self.around[seen][:, columns]
+        label = connected_components(block_array([[None, part], [part.T, None]]), directed=False)[1][: len(seen)]
+        found, group = np.unique(label, return_inverse=True)
+        return group.astype(np.int64), len(found)
+
+    def _batches(self, seen: Index, group: Index) -> tuple[list[Batch], Index]:
+        space = self.domain.space
+        place = np.full(self.elements, -1, dtype=np.int64)
+        place[seen] = np.arange(len(seen))
+        jobs: list[tuple[int, Index, Array | None]] = []
+        for k, first in enumerate(self.offsets[:-1].tolist()):
+            last = int(self.offsets[k + 1])
+            mine = seen[(seen >= first) & (seen < last)]
+            if len(mine):
+                jobs.append((k, mine - first, None))
+            for elements, xi in self.extras:
+                here = np.flatnonzero((elements >= first) & (elements < last) & (place[elements] >= 0))
+                if len(here):
+                    jobs.append((k, elements[here] - first, xi[here]))
+        used = np.unique(np.concatenate([space.blocks[k].dofs[own].ravel() for k, own, _ in jobs]))
+        number = np.full(space.n, -1, dtype=np.int64)
+        number[used] = np.arange(len(used))
+        rational = space.weights is not None
+        made = []
+        for k, own, own_xi in jobs:
+            block = _some(space.blocks[k], own)
+            basis = block.basis
+            points = sample_points(basis.cell, self.samples)
+            table = table_at(basis, points, rational) if own_xi is None else tables_at(basis, own_xi, rational)
+            weight = np.full(len(own), 1.0 if own_xi is None else _EXTRA_WEIGHT)
+            made.append(Batch(
+                replace(block, dofs=number[block.dofs]), table, 4 if rational else 3,
+                np.ascontiguousarray(self.inverse[k][own]), weight, group[place[self.offsets[k] + own]],
+            ))
+        return made, used
+
+    def result(self, points: Array, invalid: Index, history: list[Round]) -> Untangled:
+        block = np.searchsorted(self.offsets, invalid, side="right") - 1
+        pairs = np.stack([block, invalid - self.offsets[block]], axis=1)
+        moved = np.flatnonzero((points != self.domain.points).any(axis=1))
+        return Untangled(points, pairs, moved, tuple(history))
+
+
+def _some(block: Block, elements: Index) -> Block:
+    """Some elements of a block."""
+    extraction: Extraction = block.extraction
+    if isinstance(extraction, Patterns):
+        extraction = Patterns(extraction.C, np.ascontiguousarray(extraction.pattern[elements]))
+    elif isinstance(extraction, Kronecker):
+        extraction = Kronecker(extraction.factors, np.ascontiguousarray(extraction.pattern[elements]))
+    return Block(block.basis, block.dofs[elements], extraction)
+
+
+def _incidence(space: Space, elements: int) -> csr_array:
+    """(e, n), which functions act on which elements."""
+    rows, columns, start = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], 0
+    for block in space.blocks:
+        rows.append(np.repeat(np.arange(start, start + block.elements), block.n))
+        columns.append(block.dofs.ravel())
+        start += block.elements
+    at = (np.concatenate(rows), np.concatenate(columns))
+    return csr_array(coo_array((np.ones(len(at[0])), at), shape=(elements, space.n)))
+
+
+def _determinants(domain: Domain, number: int, elements: Index, points: Array) -> Array:
+    """Det J (e, q) of elements at points."""
+    block = _some(domain.space.blocks[number], elements)
+    values, weights = domain.points, domain.space.weights
+    rational = weights is not None
+    if weights is not None:
+        values = np.column_stack([values * weights[:, None], weights])
+    unit = np.broadcast_to(np.eye(3), (len(elements), 3, 3)).copy()
+    made = []
+    for q in range(len(points)):
+        table = table_at(block.basis, points[q : q + 1], rational)
+        batch = Batch(block, table, 4 if rational else 3, unit, np.ones(len(elements)),
+                      np.zeros(len(elements), dtype=np.int64))
+        made.append(evaluate([batch], values, np.ones(1), 1.0)[3][0])
+    return np.stack(made, axis=1)
