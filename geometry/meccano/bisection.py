@@ -1,6 +1,6 @@
 """Newest-vertex bisection of a meccano: conforming, nested simplicial meshes on dyadic nodes.
 
-A simplex is an ordered list of vertices (x_0, .., x_d) with a tag k. With z the midpoint of its refinement edge x_0 x_k,
+A simplex is an ordered list of vertices (x_0, .., x_d) with tag k and the refinement edge x_0 x_k, midpoint z;
 
     (x_0, .., x_{k-1}, z, x_{k+1}, .., x_d)   and   (x_1, .., x_k, z, x_{k+1}, .., x_d)
 
