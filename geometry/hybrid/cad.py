@@ -1,0 +1,428 @@
+r"""STEP and IGES files, and Open CASCADE shapes, to `Brep`.
+
+This module alone (with `shapes`, which makes solids in code) touches Open CASCADE, and imports it when first used.
+
+Closed faces are split at their seams, and every surface is turned into a B-spline or NURBS surface. Surfaces with an
+angle for a parameter become rational quadratics, whose parameter t of an arc of half-angle a about the angle m is
+
+    t = m + a tan((theta - m) / 2) / tan(a / 2),
+
+so the curves in the parameter plane are carried over exactly before they are fitted; that S(c(t)) stays where it was is
+checked, not assumed. Lengths are in the unit Open CASCADE converts to, millimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.hybrid.brep import Brep, Coedge, Curve, Edge, Face, check_brep, fit_curve, surface_points
+from geometry.patch import Patch, make_patch
+from iga.errors import FormatError, InputError
+
+Array = NDArray[np.float64]
+
+FIT = 1e-9
+"""Tolerance of fitted curves, relative to the diagonal of the solid (in space) or of the face (in its plane)."""
+CARRIED = 1e-7
+"""Largest relative distance by which carrying a curve to the NURBS parameter may move its points."""
+_ARC_U = ("Cylinder", "Cone", "Sphere", "Torus", "SurfaceOfRevolution")
+_ARC_V = ("Sphere", "Torus")
+
+
+def cad_format(path: str | Path) -> str:
+    """"STEP", "IGES" or "" for anything else, from the beginning of the file."""
+    try:
+        with Path(path).open("rb") as file:
+            head = file.read(512)
+    except OSError:
+        return ""
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
+        return "STEP"
+    line = head.splitlines()[0] if head.splitlines() else b""
+    if len(line) >= 80 and line[72:73] == b"S" and line[73:80].strip().isdigit() and b"\0" not in line:
+        return "IGES"
+    return ""
+
+
+def read_cad(path: str | Path, solid: int | None = None) -> Brep:
+    """Read a solid from a STEP or IGES file.
+
+    Parameters
+    ----------
+    path : the file.
+    solid : which of its solids, from 0; None takes the only one.
+
+    Raises
+    ------
+    FormatError : the file is not STEP or IGES, or Open CASCADE cannot read it.
+    InputError : no solid, several solids and none said, an open shell, faces that are not valid.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FormatError(f"{path}: there is no such file")
+    kind = cad_format(path)
+    if not kind:
+        raise FormatError(f"{path}: this is not a CAD file; STEP begins with ISO-10303-21;, IGES with a start section")
+    shape, label = _read_step(path) if kind == "STEP" else _read_iges(path)
+    solids = _explore(shape, "SOLID")
+    if not solids:
+        raise InputError(f"{path}: there is no closed solid in it, only {len(_explore(shape, 'FACE'))} faces")
+    if solid is None and len(solids) > 1:
+        named = ", ".join(f"{i} {label(s)[0]}".strip() for i, s in enumerate(solids))
+        raise InputError(f"{path}: {len(solids)} solids ({named[:160]}); say which with solid=0 .. {len(solids) - 1}")
+    number = 0 if solid is None else solid
+    if not 0 <= number < len(solids):
+        raise InputError(f"{path}: there is no solid {number}; it has {len(solids)}, counted from 0")
+    return brep_of(solids[number], path.name, label)
+
+
+Label = Callable[[Any], tuple[str, str]]
+"""Name and colour of a face or solid."""
+
+
+def brep_of(shape: Any, where: str, label: Label | None = None) -> Brep:
+    """Arrays of an Open CASCADE solid.
+
+    Parameters
+    ----------
+    shape : TopoDS_Shape with one solid.
+    where : name for messages.
+    label : gives name and colour of a face, or of the solid.
+
+    Raises
+    ------
+    InputError : naming the face or edge that is not valid.
+    """
+    from OCP.BRepCheck import BRepCheck_Analyzer
+    from OCP.ShapeUpgrade import ShapeUpgrade_ShapeDivideClosed
+
+    before = _explore(shape, "FACE")
+    if not BRepCheck_Analyzer(shape).IsValid():
+        bad = [i for i, f in enumerate(before) if not BRepCheck_Analyzer(f).IsValid()]
+        what = f"face_{bad[0]} is not valid (loops that cross or do not close)" if bad else "the solid is not valid"
+        raise InputError(f"{where}: {what}; heal it in the CAD system")
+    divide = ShapeUpgrade_ShapeDivideClosed(shape)
+    divided = shape
+    if divide.Perform():
+        divided = divide.Result()
+    names, colours = {}, {}
+    labels = [label(face) if label else ("", "") for face in before]
+    if len({name for name, _ in labels}) == 1:  # a name that all faces share is the solid's, or a default
+        labels = [("", colour) for _, colour in labels]
+    for i, (face, (name, colour)) in enumerate(zip(before, labels)):
+        pieces = [face] if divided is shape else _explore(divide.GetContext().Apply(face), "FACE")
+        for piece in pieces:
+            names[_key(piece)] = name or f"face_{i}"
+            colours[_key(piece)] = colour
+    volume, area = _measures(shape)
+    brep = _arrays(divided, where, names, colours, label(shape)[0] if label else "", volume, area)
+    check_brep(brep, where)
+    return brep
+
+
+def _key(shape: Any) -> int:
+    return hash(shape.Located(type(shape.Location())()).Oriented(_forward()))
+
+
+def _forward() -> Any:
+    from OCP.TopAbs import TopAbs_Orientation
+
+    return TopAbs_Orientation.TopAbs_FORWARD
+
+
+def _arrays(
+    shape: Any, where: str, names: dict[int, str], colours: dict[int, str], name: str, volume: float, area: float
+) -> Brep:
+    from OCP.BRep import BRep_Tool
+    from OCP.collections import IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher as ShapeMap
+    from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
+    from OCP.TopExp import TopExp
+    from OCP.TopoDS import TopoDS
+
+    vertex_map, edge_map = ShapeMap(), ShapeMap()
+    TopExp.MapShapes_s(shape, TopAbs_ShapeEnum.TopAbs_VERTEX, vertex_map)
+    TopExp.MapShapes_s(shape, TopAbs_ShapeEnum.TopAbs_EDGE, edge_map)
+    vertices = np.array([_xyz(BRep_Tool.Pnt_s(TopoDS.Vertex(vertex_map.FindKey(i + 1))))
+                         for i in range(vertex_map.Extent())]).reshape(-1, 3)
+    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0))) or 1.0
+    edges = []
+    for i in range(edge_map.Extent()):
+        edge = TopoDS.Edge(edge_map.FindKey(i + 1).Oriented(TopAbs_Orientation.TopAbs_FORWARD))
+        ends = tuple(vertex_map.FindIndex(v) - 1 for v in (TopExp.FirstVertex_s(edge), TopExp.LastVertex_s(edge)))
+        if min(ends) < 0:
+            raise InputError(f"{where}: edge {i} has no vertex at an end")
+        edges.append(_edge(edge, ends, vertices, diagonal, f"{where}: edge {i}"))
+    faces = []
+    for i, found in enumerate(_explore(shape, "FACE")):
+        face = TopoDS.Face(found)
+        key = _key(face)
+        place = names.get(key, f"face_{i}")
+        faces.append(_face(face, edge_map, edges, place, colours.get(key, ""), diagonal, f"{where}: {place}"))
+    return Brep(vertices, tuple(edges), tuple(faces), name, volume, area)
+
+
+def _edge(edge: Any, ends: tuple[int, ...], vertices: Array, diagonal: float, where: str) -> Edge:
+    from OCP.BRep import BRep_Tool
+
+    tolerance = float(BRep_Tool.Tolerance_s(edge))
+    if BRep_Tool.Degenerated_s(edge):
+        control = np.repeat(vertices[[ends[0]]], 2, axis=0)
+        return Edge(Curve(np.array([0.0, 0.0, 1.0, 1.0]), control), (ends[0], ends[1]), tolerance, True)
+    first, last = BRep_Tool.Range_s(edge)
+    found = BRep_Tool.Curve_s(edge, 0.0, 1.0)
+    if found is None:
+        raise InputError(f"{where} has no curve in space")
+
+    def points(t: Array) -> Array:
+        return np.array([_xyz(found.Value(s)) for s in (first + (last - first) * t).tolist()])
+
+    return Edge(fit_curve(points, FIT * diagonal, pieces=_pieces(found, first, last)), (ends[0], ends[1]), tolerance,
+                False)
+
+
+def _pieces(curve: Any, first: float, last: float) -> int:
+    """Pieces to begin with: as many as a spline has intervals, up to 16."""
+    knots = getattr(curve, "NbKnots", None)
+    return max(1, min(16, knots() - 1)) if knots else 1
+
+
+def _face(
+    face: Any, edge_map: Any, edges: list[Edge], name: str, colour: str, diagonal: float, where: str
+) -> Face:
+    from OCP.BRep import BRep_Tool
+    from OCP.BRepAdaptor import BRepAdaptor_Surface
+    from OCP.BRepTools import BRepTools, BRepTools_WireExplorer
+    from OCP.TopAbs import TopAbs_Orientation
+    from OCP.TopoDS import TopoDS
+
+    kind = BRepAdaptor_Surface(face).GetType().name.removeprefix("GeomAbs_")
+    flipped = face.Orientation() == TopAbs_Orientation.TopAbs_REVERSED
+    forward = TopoDS.Face(face.Oriented(TopAbs_Orientation.TopAbs_FORWARD))
+    bounds = BRepTools.UVBounds_s(forward)
+    original = BRep_Tool.Surface_s(forward)
+    surface, carry = _surface(original, kind, bounds, where)
+    scale = max(bounds[1] - bounds[0], bounds[3] - bounds[2])
+    outer = BRepTools.OuterWire_s(forward)
+    loops: list[tuple[Coedge, ...]] = []
+    for wire in _explore(forward, "WIRE"):
+        loop = []
+        walk = BRepTools_WireExplorer(TopoDS.Wire(wire), forward)
+        while walk.More():
+            edge = walk.Current()
+            number = edge_map.FindIndex(edge) - 1
+            loop.append(_coedge(edge, number, forward, original, surface, carry, scale, diagonal, where))
+            walk.Next()
+        if len(loop) < len(_explore(wire, "EDGE")):
+            raise InputError(f"{where} has a loop that cannot be walked around: its edges do not join")
+        loops.insert(0, tuple(loop)) if wire.IsSame(outer) else loops.append(tuple(loop))
+    if not loops:
+        raise InputError(f"{where} has no loop of edges")
+    return Face(surface, tuple(loops), flipped, kind.lower(), name, colour)
+
+
+def _coedge(
+    edge: Any, number: int, face: Any, original: Any, surface: Patch, carry: Callable[[Array], Array], scale: float,
+    diagonal: float, where: str,
+) -> Coedge:  # fmt: skip
+    from OCP.BRep import BRep_Tool
+    from OCP.TopAbs import TopAbs_Orientation
+
+    found = BRep_Tool.CurveOnSurface_s(edge, face, 0.0, 1.0, None)
+    if found is None:
+        raise InputError(f"{where}: edge {number} has no curve in the parameter plane")
+    first, last = BRep_Tool.Range_s(edge, face)
+
+    def plane_points(t: Array) -> Array:
+        values = [found.Value(s) for s in (first + (last - first) * t).tolist()]
+        return np.array([(p.X(), p.Y()) for p in values])
+
+    t = np.linspace(0.0, 1.0, 7)
+    uv = plane_points(t)
+    there = np.array([_xyz(original.Value(u, v)) for u, v in uv.tolist()])
+    off = float(np.linalg.norm(surface_points(surface, carry(uv)) - there, axis=1).max())
+    if off > CARRIED * diagonal:
+        raise InputError(f"{where}: its surface moves by {off:.1e} when it is turned into a B-spline surface")
+    curve = fit_curve(lambda t: carry(plane_points(t)), FIT * scale, pieces=_pieces(found, first, last))
+    return Coedge(number, edge.Orientation() == TopAbs_Orientation.TopAbs_REVERSED, curve)
+
+
+def _surface(
+    original: Any, kind: str, bounds: tuple[float, float, float, float], where: str
+) -> tuple[Patch, Callable[[Array], Array]]:
+    """Surface as a patch, and the map of the CAD parameters (q, 2) to the patch's."""
+    from OCP.Geom import Geom_BezierSurface, Geom_BSplineSurface, Geom_RectangularTrimmedSurface
+    from OCP.GeomConvert import GeomConvert
+
+    u0, u1, v0, v1 = bounds
+    if kind == "Plane":
+        corners = np.array([[_xyz(original.Value(u, v)) for v in (v0, v1)] for u in (u0, u1)])
+        return Patch((np.repeat([u0, u1], 2), np.repeat([v0, v1], 2)), corners), lambda uv: uv
+    # A range that is a period up to rounding crashes the conversion: make it the period.
+    if original.IsUPeriodic() and abs(u1 - u0 - original.UPeriod()) < 1e-6:
+        u1 = u0 + original.UPeriod()
+    if original.IsVPeriodic() and abs(v1 - v0 - original.VPeriod()) < 1e-6:
+        v1 = v0 + original.VPeriod()
+    if isinstance(original, Geom_BSplineSurface) and not original.IsUPeriodic() and not original.IsVPeriodic():
+        made = original
+    elif isinstance(original, Geom_BezierSurface):
+        made = GeomConvert.SurfaceToBSplineSurface_s(original)
+    else:
+        trimmed = Geom_RectangularTrimmedSurface(original, u0, u1, v0, v1)
+        made = GeomConvert.SurfaceToBSplineSurface_s(trimmed)
+    if made.IsUPeriodic():
+        made.SetUNotPeriodic()
+    if made.IsVPeriodic():
+        made.SetVNotPeriodic()
+    patch = _patch(made, where)
+    if made is not original:
+        # The trimmed surface moves a range of a periodic parameter to the first period: move it back.
+        a, b = patch.knots
+        a = a + (u0 - a[0] if original.IsUPeriodic() else 0.0)
+        b = b + (v0 - b[0] if original.IsVPeriodic() else 0.0)
+        patch = replace(patch, knots=(a, b))
+    arcs = (kind in _ARC_U, kind in _ARC_V)
+    basis = getattr(original, "BasisCurve", None)
+    if basis is not None:
+        conic = type(basis()).__name__ in ("Geom_Circle", "Geom_Ellipse") or _trimmed_conic(basis())
+        arcs = (arcs[0], conic) if kind == "SurfaceOfRevolution" else (conic, arcs[1])
+    breaks = [np.unique(t) for t in patch.knots]
+
+    def carry(uv: Array) -> Array:
+        columns = [_arc(uv[:, d], breaks[d]) if arcs[d] else uv[:, d] for d in range(2)]
+        return np.stack(columns, axis=1)
+
+    return patch, carry
+
+
+def _trimmed_conic(curve: Any) -> bool:
+    inner = getattr(curve, "BasisCurve", None)
+    return inner is not None and type(inner()).__name__ in ("Geom_Circle", "Geom_Ellipse")
+
+
+def _arc(theta: Array, breaks: Array) -> Array:
+    """Parameter of the rational quadratic from the angle, interval by interval."""
+    i = np.clip(np.searchsorted(breaks, theta, side="right") - 1, 0, len(breaks) - 2)
+    middle, half = 0.5 * (breaks[i] + breaks[i + 1]), 0.5 * (breaks[i + 1] - breaks[i])
+    return np.asarray(middle + half * np.tan(0.5 * (theta - middle)) / np.tan(0.5 * half))
+
+
+def _patch(made: Any, where: str) -> Patch:
+    knots = []
+    for count, knot, many in (
+        (made.NbUKnots(), made.UKnot, made.UMultiplicity), (made.NbVKnots(), made.VKnot, made.VMultiplicity)
+    ):  # fmt: skip
+        knots.append(np.repeat([knot(i + 1) for i in range(count)], [many(i + 1) for i in range(count)]))
+    shape = (made.NbUPoles(), made.NbVPoles())
+    control = np.array([[_xyz(made.Pole(i + 1, j + 1)) for j in range(shape[1])] for i in range(shape[0])])
+    weights = None
+    if made.IsURational() or made.IsVRational():
+        # One by one: the array that Weights() returns is freed twice in some versions of the bindings.
+        weights = np.array([[made.Weight(i + 1, j + 1) for j in range(shape[1])] for i in range(shape[0])])
+    return make_patch(knots, control, weights, where)
+
+
+def _xyz(p: Any) -> tuple[float, float, float]:
+    return p.X(), p.Y(), p.Z()
+
+
+def _explore(shape: Any, what: str) -> list[Any]:
+    """Parts of a shape, each once, in the kernel's order."""
+    from OCP.collections import IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher as ShapeMap
+    from OCP.TopAbs import TopAbs_ShapeEnum
+    from OCP.TopExp import TopExp
+
+    found = ShapeMap()
+    TopExp.MapShapes_s(shape, getattr(TopAbs_ShapeEnum, f"TopAbs_{what}"), found)
+    return [found.FindKey(i + 1) for i in range(found.Extent())]
+
+
+def _measures(shape: Any) -> tuple[float, float]:
+    """Volume and area; the kernel's plain call without a tolerance may be wrong by a percent."""
+    from OCP.BRepGProp import BRepGProp
+    from OCP.GProp import GProp_GProps
+
+    volume, area = GProp_GProps(), GProp_GProps()
+    BRepGProp.VolumeProperties_s(shape, volume, 1e-7)
+    BRepGProp.SurfaceProperties_s(shape, area, 1e-7)
+    return float(volume.Mass()), float(area.Mass())
+
+
+def _quiet() -> None:
+    from OCP.Message import Message, Message_Gravity
+
+    for printer in Message.DefaultMessenger_s().Printers():
+        printer.SetTraceLevel(Message_Gravity.Message_Fail)
+
+
+def _read_step(path: Path) -> tuple[Any, Label]:
+    from OCP.IFSelect import IFSelect_ReturnStatus
+    from OCP.Quantity import Quantity_Color
+    from OCP.STEPCAFControl import STEPCAFControl_Reader
+    from OCP.TCollection import TCollection_ExtendedString
+    from OCP.TDocStd import TDocStd_Document
+    from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool
+
+    _quiet()
+    document = TDocStd_Document(TCollection_ExtendedString("BinXCAF"))
+    reader = STEPCAFControl_Reader()
+    reader.SetColorMode(True)
+    try:
+        read = reader.ReadFile(str(path)) == IFSelect_ReturnStatus.IFSelect_RetDone and reader.Transfer(document)
+    except Exception as error:  # whatever the kernel throws at bytes it cannot read
+        raise FormatError(f"{path}: Open CASCADE cannot read this STEP file: {str(error).splitlines()[0]}") from error
+    shape = reader.Reader().OneShape() if read else None
+    if shape is None or shape.IsNull():
+        raise FormatError(f"{path}: Open CASCADE finds no shape in this STEP file")
+    transfer = reader.Reader().WS().TransferReader()
+    tool = XCAFDoc_DocumentTool.ColorTool_s(document.Main())
+
+    def read_label(part: Any) -> tuple[str, str]:
+        entity = transfer.EntityFromShapeResult(part, 1)
+        text = entity.Name() if entity is not None and hasattr(entity, "Name") else None
+        name = text.ToCString().strip() if text is not None else ""
+        colour = Quantity_Color()
+        kinds = (XCAFDoc_ColorType.XCAFDoc_ColorSurf, XCAFDoc_ColorType.XCAFDoc_ColorGen)
+        code = ""
+        if any(tool.GetColor(part, kind, colour) for kind in kinds):
+            levels = [round(255 * c) for c in (colour.Red(), colour.Green(), colour.Blue())]
+            code = "#{:02x}{:02x}{:02x}".format(*levels)
+        return ("" if name.upper() in ("NONE", "UNKNOWN") else name), code
+
+    # Read now: the document and its tables go when this function returns.
+    parts = [*_explore(shape, "SOLID"), *_explore(shape, "FACE")]
+    labels = {_key(part): read_label(part) for part in parts}
+    return shape, lambda part: labels.get(_key(part), ("", ""))
+
+
+def _read_iges(path: Path) -> tuple[Any, Label]:
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeSolid, BRepBuilderAPI_Sewing
+    from OCP.IFSelect import IFSelect_ReturnStatus
+    from OCP.IGESControl import IGESControl_Reader
+    from OCP.TopoDS import TopoDS
+
+    _quiet()
+    reader = IGESControl_Reader()
+    try:
+        read = reader.ReadFile(str(path)) == IFSelect_ReturnStatus.IFSelect_RetDone
+        if read:
+            reader.TransferRoots()
+            shape = reader.OneShape()
+    except Exception as error:
+        raise FormatError(f"{path}: Open CASCADE cannot read this IGES file: {str(error).splitlines()[0]}") from error
+    if not read or shape.IsNull():
+        raise FormatError(f"{path}: Open CASCADE finds no shape in this IGES file")
+    if not _explore(shape, "SOLID"):
+        # IGES mostly holds loose faces: sew them.
+        sewing = BRepBuilderAPI_Sewing(1e-4)
+        sewing.Add(shape)
+        sewing.Perform()
+        shells = [s for s in _explore(sewing.SewedShape(), "SHELL") if s.Closed()]
+        if len(shells) == 1:
+            shape = BRepBuilderAPI_MakeSolid(TopoDS.Shell(shells[0])).Solid()
+    return shape, lambda part: ("", "")
