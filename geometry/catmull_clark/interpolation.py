@@ -10,6 +10,8 @@ earlier ones fixed.
   number of cells inside, N (N+5) on the boundary and 6 on creases.
 * `direct`: one sparse factorisation per group, the reference.
 * `push_back`: eqs. (5)-(9). The result lives on the once refined connectivity and interpolates by construction.
+* `through_butterfly`: the points of one level of the interpolating scheme of `butterfly`, then PIA through all of them,
+  on the once refined connectivity. The scheme's own limit is no polynomial; this volume shares its points of one level.
 
 On a smooth closed boundary whose vertices all have three boundary faces (the surface of a cube, so of a single block
 or of the seven-block ball) M is singular: its null vector alternates by parity, and only data without that component
@@ -29,6 +31,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from geometry.catmull_clark.butterfly import butterfly
 from geometry.catmull_clark.lattice import limit_matrix
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology
@@ -255,6 +258,12 @@ def push_back(
     values[:v] = 0.0
     values[:v] = (given - mask @ values) / own[:, None]
     return _finish(fine, values, given, {}, limit)
+
+
+def through_butterfly(topology: Topology, given: Array, relaxation: float = 1.0) -> Interpolation:
+    """PIA through the points of one level of the butterfly scheme; the given vertices (v, c) are among them."""
+    fine, S = butterfly(topology)
+    return pia(fine, S @ given, relaxation)
 
 
 def _parameter(name: str, value: Parameter, count: int, entity: str) -> Array:

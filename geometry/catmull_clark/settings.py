@@ -9,7 +9,7 @@ from typing import Any
 from iga.errors import InputError
 
 NAME = "catmull_clark"
-METHODS = ("auto", "pia", "conjugate", "direct", "pushback", "none")
+METHODS = ("auto", "pia", "conjugate", "direct", "pushback", "butterfly", "none")
 SPACES = ("catmull_clark", "optimal")
 
 

@@ -1,6 +1,6 @@
 r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
 
-    interpolate   "auto" (default), "pia", "conjugate", "direct", "pushback" or "none"
+    interpolate   "auto" (default), "pia", "conjugate", "direct", "pushback", "butterfly" or "none"
     features      "auto" (default), "none" or an angle in degrees
     depth         levels of subdivision of irregular cells before they are closed; "auto" (default): 2, 1 or 0, as the
                   number of pieces and their validity allow
@@ -254,6 +254,8 @@ def _interpolate(topology: Topology, given: Array, settings: Settings) -> Interp
         result = interpolation.direct(topology, scaled)
     elif method == "pushback":
         result = interpolation.push_back(topology, scaled, settings.lam, settings.mu, settings.gamma)
+    elif method == "butterfly":
+        result = interpolation.through_butterfly(topology, scaled, settings.relaxation)
     elif method == "none":
         result = interpolation.plain(topology, scaled)
     return replace(result, values=result.values * size)
