@@ -202,3 +202,14 @@ def plot_heat_table(
                 axes.text(j, i, text, ha="center", va="center", fontsize=8.5, color="black" if light else "white")
         if title:
             axes.set_title(title)
+
+
+def plot_panels(path: str | Path, panels: Sequence[tuple[str, NDArray[np.uint8]]], columns: int) -> None:
+    """Set rendered pictures (rows, columns, 3) with their titles side by side, row by row."""
+    rows = -(-len(panels) // columns)
+    with drawing(path, rows, columns, size=(3.0, 3.0)) as axes:
+        for place in np.atleast_1d(axes).ravel():
+            place.axis("off")
+        for place, (title, picture) in zip(np.atleast_1d(axes).ravel(), panels):
+            place.imshow(picture)
+            place.set_title(title, fontsize=9)

@@ -44,7 +44,9 @@ Flags = NDArray[np.bool_]
 
 _OPPOSITE_FACE = np.array([1, 0, 3, 2, 5, 4])
 # The two faces of a cell that meet in each of its edges, (12, 2).
-_SIDES_AT_EDGE = np.array([[s for s, face in enumerate(FACES.tolist()) if {a, b} <= set(face)] for a, b in EDGES.tolist()])
+_SIDES_AT_EDGE = np.array(
+    [[side for side, face in enumerate(FACES.tolist()) if {a, b} <= set(face)] for a, b in EDGES.tolist()]
+)
 
 
 def butterfly(topology: Topology) -> tuple[Topology, csr_array]:
@@ -149,9 +151,8 @@ def _opposites_at_vertices(t: Topology, owner: Index, edge: Index) -> tuple[csr_
     corner = np.array([[0, 2], [0, 3], [1, 2], [1, 3]])  # edges of a face (00-01, 10-11, 00-10, 01-11) at its corners
     for inside in (True, False):
         faces = np.arange(len(t.faces)) if inside else t.boundary_faces
-        pairs = tuple(np.concatenate(part) for part in zip(*(
-            (t.faces[faces, c], t.face_edges[faces, corner[c, 0]], t.face_edges[faces, corner[c, 1]]) for c in range(4)
-        )))
+        one, two = (t.face_edges[faces[:, None], corner[:, k]].ravel() for k in (0, 1))
+        pairs = (t.faces[faces].ravel(), one, two)
         mine = np.ones(ends, dtype=bool) if inside else t.edge_kind[edge] < INTERIOR
         wanted = (t.vertex_kind == INTERIOR) if inside else (t.vertex_kind == SMOOTH)
         rows = np.flatnonzero(mine)
@@ -194,7 +195,7 @@ def _star_weights(t: Topology, edges: Index, beside: Flags) -> Array:
 
 def _face_points(t: Topology, edges: csr_array) -> csr_array:
     """Points of faces (f, v) from those of edges (m, v)."""
-    f, m = len(t.faces), len(t.edges)
+    f = len(t.faces)
     # Incidence (face, side): sides 0 to 3 as `face_edges`; 0 and 1 are opposite, so are 2 and 3.
     owner, face = t.face_edges.T.ravel(), np.tile(np.arange(f), 4)
     far = edges[t.face_edges[:, [1, 0, 3, 2]].T.ravel()]
