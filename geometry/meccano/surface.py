@@ -1,14 +1,33 @@
-"""Surface triangulations: the input of the meccano."""
+"""Surface triangulations, the input of the meccano: what they must be, and what they enclose.
+
+A surface is taken only if it bounds one solid: every edge belongs to two triangles that run through it in opposite
+directions, the triangles around a vertex are one fan, there is one shell, no triangle is degenerate, the volume
+V = 1/6 sum p0 . (p1 x p2) is positive and no two triangles cross. Its genus is g = 1 - (V - E + F) / 2.
+
+Axis letters: v vertex, t triangle, k edge.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from geometry.meccano.intersection import first_crossing
+from iga.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+#: Triangles lower than this part of their longest edge count as degenerate.
+FLAT = 1e-9
+#: Coordinates beyond this are taken for errors; products of three of them must not overflow.
+LARGEST = 1e90
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,3 +42,212 @@ class Surface:
 
     points: Array
     triangles: Index
+
+    @cached_property
+    def edges(self) -> Index:
+        """(k, 2) vertices of each edge, ascending; edges in lexical order."""
+        return self._edge_table[0]
+
+    @cached_property
+    def edge_of(self) -> Index:
+        """(t, 3) edge between corners i and i + 1 of each triangle."""
+        return self._edge_table[1]
+
+    @cached_property
+    def _edge_table(self) -> tuple[Index, Index]:
+        ends = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+        keys, inverse = np.unique(ends[:, 0] * len(self.points) + ends[:, 1], return_inverse=True)
+        return np.stack(np.divmod(keys, len(self.points)), axis=1), inverse.reshape(-1, 3)
+
+    @cached_property
+    def beside(self) -> Index:
+        """(k, 2) the triangles at each edge: the one that runs through it upwards, then the other."""
+        result = np.full((len(self.edges), 2), -1, dtype=np.int64)
+        up = self.triangles < np.roll(self.triangles, -1, axis=1)
+        number = np.repeat(np.arange(len(self.triangles)), 3).reshape(-1, 3)
+        result[self.edge_of[up], 0] = number[up]
+        result[self.edge_of[~up], 1] = number[~up]
+        return result
+
+    @property
+    def diagonal(self) -> float:
+        """Length of the diagonal of the bounding box."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+
+def euler_characteristic(surface: Surface) -> int:
+    """Vertices - edges + triangles."""
+    return len(surface.points) - len(surface.edges) + len(surface.triangles)
+
+
+def genus(surface: Surface) -> int:
+    """Number of handles."""
+    return 1 - euler_characteristic(surface) // 2
+
+
+def volume(surface: Surface) -> float:
+    """Volume enclosed by the surface."""
+    corners = (surface.points - surface.points.mean(axis=0))[surface.triangles]
+    return float(np.linalg.det(corners).sum()) / 6.0
+
+
+def area_vectors(surface: Surface) -> Array:
+    """Normals (t, 3) as long as the triangles' areas."""
+    corners = surface.points[surface.triangles]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0
+
+
+def checked_surface(points: Array, triangles: Index) -> tuple[Surface, dict[str, Any]]:
+    """The surface, turned outwards and without unused vertices, and what was done to it.
+
+    Parameters
+    ----------
+    points, triangles : (v, 3) and (t, 3), as read.
+
+    Returns
+    -------
+    The surface and a report: vertices, triangles, genus, volume, and ``turned`` and ``unused_vertices`` if any.
+
+    Raises
+    ------
+    InputError : the triangulation does not bound one solid; the message names the first entity that is wrong.
+    """
+    report: dict[str, Any] = {}
+    require_numbers(points, triangles)
+    _require_edges(points, triangles)
+    used = np.unique(triangles)
+    if len(used) < len(points):
+        report["unused_vertices"] = len(points) - len(used)
+    surface = Surface(np.ascontiguousarray(points[used]), np.searchsorted(used, triangles).astype(np.int64))
+    _require_vertices(surface, used)
+    shells = shells_of(surface.edge_of, len(surface.edges))
+    if shells.max() > 0:
+        sizes = np.bincount(shells).tolist()
+        raise InputError(
+            f"the surface has {len(sizes)} shells of {_listed(sizes)} triangles; give one closed surface per solid"
+        )
+    size = volume(surface)
+    if abs(size) <= 1e-12 * surface.diagonal**3:
+        raise InputError(f"the surface encloses no volume ({size:.3g})")
+    if size < 0:
+        surface = Surface(surface.points, np.ascontiguousarray(surface.triangles[:, ::-1]))
+        report["turned"] = "the triangles faced inwards and were turned round"
+    crossing = first_crossing(surface.points, surface.triangles)
+    if crossing is not None:
+        raise InputError(
+            f"triangles {crossing[0]} and {crossing[1]} cross each other ({crossing[2]} such pairs in all); "
+            "give a surface that does not intersect itself"
+        )
+    report |= {
+        "vertices": len(surface.points), "triangles": len(surface.triangles), "genus": genus(surface),
+        "volume": abs(size),
+    }
+    return surface, report
+
+
+def require_numbers(points: Array, triangles: Index) -> None:
+    """Coordinates are numbers, vertex numbers are in range, and there are enough triangles for a solid.
+
+    Raises
+    ------
+    InputError : one of these does not hold.
+    """
+    bad = np.flatnonzero(~(np.abs(points) <= LARGEST).all(axis=1))
+    if len(bad):
+        raise InputError(f"vertex {bad[0]} has a coordinate that is no number up to {LARGEST:g}")
+    outside = np.flatnonzero(((triangles < 0) | (triangles >= len(points))).any(axis=1))
+    if len(outside):
+        raise InputError(f"triangle {outside[0]} names a vertex that is not among the {len(points)} vertices")
+    if len(triangles) < 4:
+        raise InputError(f"{len(triangles)} triangles cannot enclose a solid")
+
+
+def degenerate(points: Array, triangles: Index) -> NDArray[np.bool_]:
+    """Whether each triangle (t,) has no area to speak of."""
+    corners = points[triangles]
+    sides = np.roll(corners, -1, axis=1) - corners
+    # Scaled first: tiny solids have tiny areas.
+    scale = np.abs(sides).max(axis=(1, 2), initial=0.0)
+    sides /= np.where(scale > 0, scale, 1.0)[:, None, None]
+    twice = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    longest = (sides**2).sum(axis=2).max(axis=1)
+    return ~(twice > FLAT * longest)
+
+
+def _require_edges(points: Array, triangles: Index) -> None:
+    """No degenerate triangle, every edge in two triangles, in opposite directions."""
+    flat = np.flatnonzero(degenerate(points, triangles))
+    if len(flat):
+        a, b, c = triangles[flat[0]]
+        raise InputError(
+            f"triangle {flat[0]} with vertices {a}, {b}, {c} is degenerate ({len(flat)} in all); "
+            "remove such triangles or build with mend=true"
+        )
+    half = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    low, high = half.min(axis=1), half.max(axis=1)
+    first, inverse, count = np.unique(
+        low * len(points) + high, return_index=True, return_inverse=True, return_counts=True
+    )[1:]
+    for kind in (count > 2, count < 2):
+        bad = np.flatnonzero(kind)
+        if len(bad):
+            a, b = half[first[bad[0]]]
+            if kind[bad[0]] and count[bad[0]] == 1:
+                raise InputError(
+                    f"the edge between vertices {a} and {b} belongs to one triangle only ({len(bad)} such edges): "
+                    "the surface is not closed; close its holes or build with mend=true"
+                )
+            raise InputError(
+                f"the edge between vertices {a} and {b} belongs to {count[bad[0]]} triangles ({len(bad)} such edges): "
+                "the surface is no manifold there"
+            )
+    up = np.bincount(inverse, weights=(half[:, 0] == low).astype(float))
+    bad = np.flatnonzero(up != 1)
+    if len(bad):
+        a, b = half[first[bad[0]]]
+        raise InputError(
+            f"the two triangles at the edge between vertices {a} and {b} have opposite orientations "
+            f"({len(bad)} such edges); orient the triangles alike or build with mend=true"
+        )
+
+
+def fans(triangles: Index, edge_of: Index, edges: int) -> Index:
+    """Fan (t, 3) of every triangle corner: corners in one fan are joined by edges at their common vertex."""
+    corner = np.arange(3 * len(triangles)).reshape(-1, 3)
+    # Each edge joins, at either end, a corner of the one triangle with a corner of the other.
+    here = np.concatenate([corner, np.roll(corner, -1, axis=1)]).ravel()
+    vertex = np.concatenate([triangles, np.roll(triangles, -1, axis=1)]).ravel()
+    edge = np.tile(edge_of.ravel(), 2)
+    order = np.lexsort((vertex, edge))
+    pairs = here[order].reshape(-1, 2)
+    size = 3 * len(triangles)
+    link = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
+    return connected_components(link, directed=False)[1].reshape(-1, 3).astype(np.int64)
+
+
+def _require_vertices(surface: Surface, names: Index) -> None:
+    """The triangles around a vertex are one fan."""
+    fan = fans(surface.triangles, surface.edge_of, len(surface.edges))
+    if fan.max() + 1 == len(surface.points):
+        return
+    pairs = np.unique(np.stack([surface.triangles.ravel(), fan.ravel()], axis=1), axis=0)
+    count = np.bincount(pairs[:, 0])
+    bad = np.flatnonzero(count > 1)
+    raise InputError(
+        f"the triangles around vertex {names[bad[0]]} are {count[bad[0]]} fans ({len(bad)} such vertices): the surface "
+        "is no manifold there; give each fan its own vertex or build with mend=true"
+    )
+
+
+def shells_of(edge_of: Index, edges: int) -> Index:
+    """Shell (t,) of each triangle: triangles are joined by edges."""
+    count = len(edge_of)
+    number = np.repeat(np.arange(count), 3)
+    link = coo_array((np.ones(3 * count, dtype=np.int8), (number, count + edge_of.ravel())), shape=(count + edges,) * 2)
+    return connected_components(link, directed=False)[1][:count].astype(np.int64)
+
+
+def _listed(sizes: list[int]) -> str:
+    """A few numbers for a message."""
+    shown = ", ".join(str(size) for size in sizes[:4])
+    return shown + (", ..." if len(sizes) > 4 else "")
