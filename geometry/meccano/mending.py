@@ -31,7 +31,7 @@ def mended(points: Array, triangles: Index) -> tuple[Array, Index, dict[str, Any
     import pyvista
 
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
-    mesh = pyvista.PolyData.from_regular_faces(points, triangles)
+    mesh = pyvista.PolyData.from_regular_faces(points, triangles.astype(int))
     clean = mesh.clean(tolerance=SAME * diagonal, absolute=True, lines_to_points=False, polys_to_lines=False)
     clean = _triangles_only(clean)
     before = clean.n_faces_strict

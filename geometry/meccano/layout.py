@@ -1,0 +1,283 @@
+"""A surface divided into patches, one per boundary side of a meccano, and ways to make the division better.
+
+Patches are disks with four corners; borders run along edges of the surface and follow each other as the meccano's do.
+
+Better means straight and even: the patches around a corner (on both sides of a border) are laid together on a regular
+polygon (a rectangle) by mean values, and the corner moves to its middle (the border to its middle line). Every step
+keeps the division a division, however bad it was before
+[A. Khodakovsky, N. Litke, P. Schroeder, Globally smooth parameterizations with low distortion, SIGGRAPH 2003].
+
+Axis letters: t triangle, f boundary side, n corner of the meccano, b vertex of a border.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from geometry.meccano.blocks import Blocks
+from geometry.meccano.mean_value import mean_value
+from geometry.meccano.paths import Path, loop_of, straight, trace, without_chords
+from geometry.meccano.surface import Surface, area_vectors
+from iga.cells import QUADRILATERAL
+from iga.errors import InputError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+#: Corners of a side in the order of its orientation, as vertices of the quadrilateral, and their places.
+ROUND = (0, 2, 3, 1)
+SQUARE = QUADRILATERAL.vertices[list(ROUND)]
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """A division of a surface.
+
+    Attributes
+    ----------
+    blocks : the meccano.
+    surface : the surface; borders run along its edges.
+    side : (t,) the boundary side, a row of ``blocks.boundary_sides``, that each triangle belongs to.
+    corner : (n,) vertex at each corner of the meccano; -1 at inner corners.
+    """
+
+    blocks: Blocks
+    surface: Surface
+    side: Index
+    corner: Index
+
+
+def round_corners(blocks: Blocks) -> Index:
+    """Corners (f, 4) of the boundary sides in the order of their orientation, from the one with s = (0, 0)."""
+    faces = np.array([np.array(face.vertices)[list(ROUND)] for face in blocks.cell.faces])
+    block, side = blocks.boundary_sides.T
+    return blocks.corners[block[:, None], faces[side]]
+
+
+def borders(blocks: Blocks) -> list[tuple[int, int, int, int]]:
+    """Corners a < b and sides f, g of each border: f runs through it from a to b, g from b to a."""
+    found: dict[tuple[int, int], int] = {}
+    for f, corners in enumerate(round_corners(blocks).tolist()):
+        for i in range(4):
+            found[corners[i], corners[(i + 1) % 4]] = f
+    return [(a, b, f, found[b, a]) for (a, b), f in sorted(found.items()) if a < b]
+
+
+def patch_loop(layout: Layout, f: int) -> tuple[Index, Index]:
+    """Border vertices (b,) of a patch from its first corner on, and where in that list its corners are (4,).
+
+    Raises
+    ------
+    InputError : the patch is no disk, or its corners do not follow each other as the meccano's.
+    """
+    vertices = layout.corner[round_corners(layout.blocks)[f]]
+    loop = loop_of(layout.surface, layout.side == f, int(vertices[0]))
+    return loop, _marks(loop, vertices, f)
+
+
+def _marks(loop: Index, vertices: Index, f: int) -> Index:
+    place = {int(v): i for i, v in enumerate(loop)}
+    marks = np.array([place.get(int(v), -1) for v in vertices])
+    if (marks < 0).any() or (np.diff(marks) <= 0).any():
+        raise InputError(f"patch {f} of the surface does not have the corners of its side in their order")
+    return marks
+
+
+def polygon(points: Array, loop: Index, marks: Index, corners: Array) -> Array:
+    """Places (b, 2) of border vertices on a polygon, by chord length between the marked ones.
+
+    Parameters
+    ----------
+    loop, marks : (b,) vertices and the increasing positions in it, the first being 0, of the polygon's corners.
+    corners : (m, 2) the polygon.
+    """
+    closed = np.append(loop, loop[0])
+    length = np.linalg.norm(np.diff(points[closed], axis=0), axis=1)
+    ends = np.append(marks, len(loop))
+    places = np.empty((len(loop), 2))
+    for i, (a, b) in enumerate(pairwise(ends)):
+        travelled = np.concatenate([[0.0], np.cumsum(length[a:b])])
+        share = (travelled / travelled[-1])[: b - a, None]
+        places[a:b] = corners[i] * (1 - share) + corners[(i + 1) % len(corners)] * share
+    return places
+
+
+def check(layout: Layout) -> None:
+    """Raise if patches are no disks, or do not lie beside each other as the sides of the meccano.
+
+    Raises
+    ------
+    InputError : one of these does not hold.
+    """
+    surface = layout.surface
+    for f in range(len(layout.blocks.boundary_sides)):
+        inside = layout.side == f
+        patch_loop(layout, f)
+        vertices = len(np.unique(surface.triangles[inside]))
+        edges = len(np.unique(surface.edge_of[inside]))
+        if vertices - edges + inside.sum() != 1 or pieces(surface, inside, None).max() > 0:
+            raise InputError(f"patch {f} of the surface is no disk")
+    beside = {(f, g) for _, _, f, g in borders(layout.blocks)}
+    pairs = layout.side[surface.beside]
+    for f, g in np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0).tolist():
+        if (f, g) not in beside and (g, f) not in beside:
+            raise InputError(f"patches {f} and {g} of the surface meet, but not their sides of the meccano")
+
+
+def pieces(surface: Surface, inside: Mask, walls: Index | None) -> Index:
+    """Component (t,) of each triangle of a region cut by walls, given as pairs of vertices; -1 outside."""
+    joined = inside[surface.beside].all(axis=1)
+    if walls is not None:
+        size = len(surface.points)
+        keys = np.sort(walls, axis=1) @ np.array([size, 1])
+        joined &= ~np.isin(surface.edges @ np.array([size, 1]), keys)
+    rows = np.full(len(inside), -1, dtype=np.int64)
+    rows[inside] = np.arange(inside.sum())
+    a, b = rows[surface.beside[joined]].T
+    count = int(inside.sum())
+    label = connected_components(coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count)), False)[1]
+    result = np.full(len(inside), -1, dtype=np.int64)
+    result[inside] = label
+    return result
+
+
+def left_of(surface: Surface, a: int, b: int) -> int:
+    """The triangle through which the edge from vertex a to vertex b runs."""
+    low, high = min(a, b), max(a, b)
+    k = int(np.searchsorted(surface.edges @ np.array([len(surface.points), 1]), low * len(surface.points) + high))
+    return int(surface.beside[k, 0 if a < b else 1])
+
+
+def with_border(layout: Layout, path: Path, f: int, g: int) -> Layout:
+    """The layout with another border between two patches: f on the left of the path, g on its right."""
+    side = layout.side[path.origin]
+    region = (side == f) | (side == g)
+    piece = pieces(path.surface, region, np.stack([path.vertices[:-1], path.vertices[1:]], axis=1))
+    left = piece[left_of(path.surface, int(path.vertices[0]), int(path.vertices[1]))]
+    side = np.where(region, np.where(piece == left, f, g), side)
+    return replace(layout, surface=path.surface, side=side)
+
+
+def _plane(layout: Layout, region: Mask, loop: Index, targets: Array, rounds: int) -> Array:
+    """Mean value places (v, 2) of a region."""
+    return mean_value(layout.surface.points, layout.surface.triangles[region], loop, targets, rounds)
+
+
+def _split_chords(layout: Layout, region: Mask) -> tuple[Layout, Mask]:
+    surface, origin = without_chords(layout.surface, region.astype(np.int64))
+    return replace(layout, surface=surface, side=layout.side[origin]), region[origin]
+
+
+def straighten_border(layout: Layout, border: tuple[int, int, int, int], cut: bool, rounds: int = 0) -> Layout:
+    """Let a border follow the middle line of its two patches.
+
+    Parameters
+    ----------
+    border : an entry of `borders`.
+    cut : run straight through triangles; otherwise along edges that there are, nearly straight.
+    rounds : of reweighting, see `mean_value`.
+    """
+    a, b, f, g = border
+    if f == g:
+        return layout
+    region = (layout.side == f) | (layout.side == g)
+    layout, region = _split_chords(layout, region)
+    rows = round_corners(layout.blocks)
+    own, other = rows[f].tolist(), rows[g].tolist()
+    i, j = own.index(a), other.index(b)
+    names = [a, other[(j + 2) % 4], other[(j + 3) % 4], b, own[(i + 2) % 4], own[(i + 3) % 4]]
+    if len(set(names)) < 6:
+        return layout
+    loop = loop_of(layout.surface, region, int(layout.corner[a]))
+    marks = _marks(loop, layout.corner[names], f)
+    corners = np.array([(0, 0), (0, -1), (1, -1), (1, 0), (1, 1), (0, 1)], dtype=float)
+    targets = polygon(layout.surface.points, loop, marks, corners)
+    places = _plane(layout, region, loop, targets, rounds)
+    start, end = int(layout.corner[a]), int(layout.corner[b])
+    if cut:
+        path = straight(layout.surface, region, places, start, end)
+    else:
+        path = trace(layout.surface, start, end, region, places=places)
+    return with_border(layout, path, f, g)
+
+
+def centre_corner(layout: Layout, n: int, rounds: int = 0) -> Layout:
+    """Move a corner to the middle of the patches around it, and lead its borders straight there.
+
+    Borders follow edges that there are.
+    """
+    rows = round_corners(layout.blocks)
+    around = {int(f): rows[f].tolist().index(n) for f in np.flatnonzero((rows == n).any(axis=1))}
+    # Patches in the order of the orientation around the corner: the next one begins where this one ends.
+    f = next(iter(around))
+    ring, spokes = [], []
+    by_start = {rows[g][(i + 1) % 4]: g for g, i in around.items()}
+    while f not in ring:
+        ring.append(f)
+        i = around[f]
+        spokes.append(int(rows[f][(i + 1) % 4]))
+        f = by_start.get(rows[f][(i + 3) % 4], ring[0])
+    names = [int(rows[g][(around[g] + k) % 4]) for g in ring for k in (1, 2)]
+    if len(ring) != len(around) or len(set(names)) < len(names):
+        return layout
+    region = np.isin(layout.side, ring)
+    layout, region = _split_chords(layout, region)
+    loop = loop_of(layout.surface, region, int(layout.corner[names[0]]))
+    marks = _marks(loop, layout.corner[names], ring[0])
+    angle = 2 * np.pi * np.arange(len(names)) / len(names)
+    targets = polygon(layout.surface.points, loop, marks, np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    places = _plane(layout, region, loop, targets, rounds)
+    inner = np.setdiff1d(layout.surface.triangles[region], loop)
+    centre = int(inner[np.argmin((places[inner] ** 2).sum(axis=1))])
+    surface, side = layout.surface, layout.side
+    walls = np.zeros((0, 2), dtype=np.int64)
+    for n_spoke in spokes:
+        path = trace(surface, centre, int(layout.corner[n_spoke]), region, walls, places)
+        new = len(path.surface.points) - len(surface.points)
+        if new:
+            places = _extended(places, surface, path.surface)
+        surface, side, region = path.surface, side[path.origin], region[path.origin]
+        walls = np.concatenate([walls, np.stack([path.vertices[:-1], path.vertices[1:]], axis=1)])
+    piece = pieces(surface, region, walls)
+    starts = {s: k for k, s in enumerate(spokes)}
+    for g in ring:
+        spoke = walls[_first_edges(walls, centre)[starts[int(rows[g][(around[g] + 1) % 4])]]]
+        side[piece == piece[left_of(surface, int(spoke[0]), int(spoke[1]))]] = g
+    corner = layout.corner.copy()
+    corner[n] = centre
+    return replace(layout, surface=surface, side=side, corner=corner)
+
+
+def _first_edges(walls: Index, centre: int) -> Index:
+    """Rows of the walls that begin at the centre, in the order of the spokes."""
+    return np.flatnonzero(walls[:, 0] == centre)
+
+
+def _extended(places: Array, before: Surface, after: Surface) -> Array:
+    """Places also of new vertices, by the nearest point of the split edges: they are midpoints."""
+    new = after.points[len(before.points) :]
+    middles = before.points[before.edges].mean(axis=1)
+    found = [int(np.argmin(((middles - x) ** 2).sum(axis=1))) for x in new]
+    return np.concatenate([places, places[before.edges[found]].mean(axis=1)])
+
+
+def balance(layout: Layout) -> dict[str, float]:
+    """How even the patches are: smallest and largest share of the mean area, longest over shortest border."""
+    areas = np.linalg.norm(area_vectors(layout.surface), axis=1)
+    share = np.bincount(layout.side, areas) / areas.sum()
+    lengths = []
+    for f in range(len(share)):
+        loop, marks = patch_loop(layout, f)
+        step = np.linalg.norm(np.diff(layout.surface.points[np.append(loop, loop[0])], axis=0), axis=1)
+        lengths += [part.sum() for part in np.split(step, marks[1:])]
+    return {
+        "smallest_patch": float(share.min() * len(share)), "largest_patch": float(share.max() * len(share)),
+        "border_ratio": float(max(lengths) / min(lengths)),
+    }

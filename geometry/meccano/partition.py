@@ -1,0 +1,199 @@
+"""Six patches of a surface of genus 0 that lie beside each other as the sides of a cube.
+
+Eight corners are chosen, extreme points in the diagonal directions of the surface's principal axes. A closed path
+through all of them (a Hamiltonian cycle of the cube) divides the surface into two disks; two more paths divide each
+into three patches. So any eight distinct vertices lead to a division with the cube's graph. It is then made straight and
+even (see `layout`). Of the cube's six cycles the one with the shortest paths is taken.
+
+Axis letters: v vertex, t triangle, n corner of the cube.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.meccano.blocks import Blocks, cube
+from geometry.meccano.layout import (
+    Layout,
+    borders,
+    centre_corner,
+    check,
+    left_of,
+    pieces,
+    round_corners,
+    straighten_border,
+    with_border,
+)
+from geometry.meccano.paths import refined, trace
+from geometry.meccano.surface import Surface, area_vectors, genus
+from iga.cells import HEXAHEDRON
+from iga.errors import InputError
+from iga.progress import QUIET, Progress
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+#: Coarser surfaces are refined first, so that there are vertices and edges enough to choose from.
+LEAST_TRIANGLES = 3000
+
+
+def partition(
+    surface: Surface, corners: Array | None = None, labels: Index | None = None, rounds: int = 3,
+    progress: Progress = QUIET,
+) -> Layout:
+    """Divide a surface into six patches.
+
+    Parameters
+    ----------
+    surface : of genus 0.
+    corners : (8, 3) points near which the cube's corners shall be, in the order of the reference cell's vertices; they
+        stay there. None to let them be found.
+    labels : (t,) side 0, ..., 5 of the cube for each triangle, to give the whole division by hand.
+    rounds : of moving corners and borders.
+
+    Raises
+    ------
+    InputError : the genus is not 0, or what was given by hand is no such division.
+    """
+    if genus(surface) != 0:
+        raise InputError(f"a surface of genus {genus(surface)} cannot be divided as a cube's; take a polycube")
+    blocks = cube()
+    if labels is not None:
+        layout = _from_labels(surface, blocks, np.asarray(labels))
+        check(layout)
+        return layout
+    surface, _ = refined(surface, LEAST_TRIANGLES)
+    chosen = _extremes(surface) if corners is None else _nearest(surface, np.asarray(corners, dtype=float))
+    layout = _connected(surface, blocks, chosen)
+    order = borders(blocks)
+    for _ in progress.track(range(rounds), "patches"):
+        if corners is None:
+            for n in range(8):
+                layout = centre_corner(layout, n)
+        for border in order:
+            layout = straighten_border(layout, border, cut=False)
+    for border in progress.track(order, "borders"):
+        layout = straighten_border(layout, border, cut=True)
+    check(layout)
+    return layout
+
+
+def _extremes(surface: Surface) -> Index:
+    """Distinct vertices (8,) that lie farthest in the diagonal directions of the box of principal axes."""
+    areas = np.linalg.norm(area_vectors(surface), axis=1)
+    middles = surface.points[surface.triangles].mean(axis=1)
+    centre = areas @ middles / areas.sum()
+    covariance = np.einsum("t,td,te->de", areas, middles - centre, middles - centre)
+    axes = np.linalg.eigh(covariance)[1]
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    local = (surface.points - centre) @ axes
+    local = 2 * (local - local.min(axis=0)) / np.ptp(local, axis=0) - 1
+    chosen: list[int] = []
+    for direction in 2 * HEXAHEDRON.vertices - 1:
+        height = local @ direction
+        for v in chosen:
+            # Keep away from corners that there are.
+            height = np.where(((local - local[v]) ** 2).sum(axis=1) < 0.05, -np.inf, height)
+        chosen.append(int(np.argmax(height)))
+    return np.array(chosen)
+
+
+def _nearest(surface: Surface, corners: Array) -> Index:
+    if corners.shape != (8, 3) or not np.isfinite(corners).all():
+        raise InputError(f"corners of a cube are given as 8 points with 3 coordinates, not as {corners.shape}")
+    chosen = np.array([int(np.argmin(((surface.points - x) ** 2).sum(axis=1))) for x in corners])
+    if len(set(chosen.tolist())) < 8:
+        raise InputError("two of the 8 corners given lie at the same vertex of the surface")
+    return chosen
+
+
+def cycles() -> list[tuple[int, ...]]:
+    """The cube's Hamiltonian cycles, each once, from corner 0."""
+    edges = {frozenset(edge) for edge in HEXAHEDRON.edges.tolist()}
+    found = []
+    for rest in permutations(range(1, 8)):
+        if rest[0] < rest[-1] and all(frozenset(e) in edges for e in zip((0, *rest), (*rest, 0))):
+            found.append((0, *rest))
+    return found
+
+
+def _connected(surface: Surface, blocks: Blocks, chosen: Index) -> Layout:
+    """Best of the divisions along the cube's cycles."""
+    best: tuple[float, Layout] | None = None
+    reason = ""
+    for cycle in cycles():
+        try:
+            length, layout = _along(surface, blocks, chosen, cycle)
+        except InputError as error:
+            reason = str(error)
+            continue
+        if best is None or length < best[0]:
+            best = length, layout
+    if best is None:
+        raise InputError(f"the corners of the cube cannot be joined on the surface: {reason}")
+    return best[1]
+
+
+def _along(surface: Surface, blocks: Blocks, chosen: Index, cycle: tuple[int, ...]) -> tuple[float, Layout]:
+    """Total length of the paths and the division along one cycle."""
+    rows, ends = round_corners(blocks).tolist(), borders(blocks)
+    step = set(zip(cycle, (*cycle[1:], cycle[0])))
+    # Sides on the left of the cycle run through its edges forwards.
+    left = [f for f, row in enumerate(rows) if any((row[i], row[(i + 1) % 4]) in step for i in range(4))]
+    walls = np.zeros((0, 2), dtype=np.int64)
+    total = 0.0
+    for a, b in zip(cycle, (*cycle[1:], cycle[0])):
+        # Corners that no path has reached yet are in the way as well.
+        path = trace(surface, int(chosen[a]), int(chosen[b]), walls=walls, avoid=chosen)
+        surface = path.surface
+        walls = np.concatenate([walls, np.stack([path.vertices[:-1], path.vertices[1:]], axis=1)])
+        total += _length(surface, path.vertices)
+    piece = pieces(surface, np.ones(len(surface.triangles), dtype=bool), walls)
+    start = walls[0]
+    side = np.where(piece == piece[left_of(surface, int(start[0]), int(start[1]))], left[0], _others(left)[0])
+    layout = Layout(blocks, surface, side, chosen.copy())
+    for group in (left, _others(left)):
+        # The middle one of three has a border in common with both others.
+        middle = next(f for f in group if all(len(set(rows[f]) & set(rows[g])) >= 2 for g in group))
+        layout = replace(layout, side=np.where(layout.side == group[0], middle, layout.side))
+        for a, b, f, g in ends:
+            if middle not in (f, g) or not {f, g} <= set(group):
+                continue
+            if f == middle:
+                a, b, f = b, a, g
+            path = trace(layout.surface, int(chosen[a]), int(chosen[b]), layout.side == middle)
+            total += _length(path.surface, path.vertices)
+            layout = with_border(layout, path, f, middle)
+    check(layout)
+    return total, layout
+
+
+def _others(left: list[int]) -> list[int]:
+    return [f for f in range(6) if f not in left]
+
+
+def _length(surface: Surface, path: Index) -> float:
+    return float(np.linalg.norm(np.diff(surface.points[path], axis=0), axis=1).sum())
+
+
+def _from_labels(surface: Surface, blocks: Blocks, labels: Index) -> Layout:
+    """A division given by hand: corners are where three patches meet."""
+    whole = labels.shape == (len(surface.triangles),) and labels.dtype.kind in "iu"
+    if not whole or not np.isin(labels, range(6)).all():
+        raise InputError(f"labels must be one of 0, ..., 5 for each of the {len(surface.triangles)} triangles")
+    pairs = np.unique(np.stack([surface.triangles.ravel(), np.repeat(labels, 3)], axis=1), axis=0)
+    rows = round_corners(blocks)
+    corner = np.full(8, -1, dtype=np.int64)
+    for v in np.flatnonzero(np.bincount(pairs[:, 0]) > 2).tolist():
+        meeting = set(pairs[pairs[:, 0] == v, 1].tolist())
+        fitting = [n for n in range(8) if {f for f in range(6) if n in rows[f]} == meeting]
+        if not fitting or corner[fitting[0]] >= 0:
+            raise InputError(f"patches {sorted(meeting)} meet at vertex {v}, which is no such corner of a cube")
+        corner[fitting[0]] = v
+    if (corner < 0).any():
+        raise InputError(f"no vertex is corner {int(np.argmin(corner))} of the cube: three patches must meet at each")
+    return Layout(blocks, surface, labels.astype(np.int64), corner)
