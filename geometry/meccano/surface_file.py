@@ -1,8 +1,8 @@
 """Read closed surface triangulations from STL, OBJ, OFF and PLY files through meshio.
 
 Texture seams split nothing: faces name vertices, not texture corners. STL has no vertices, so points equal to
-rounding are one; where fans of triangles then meet in a single point, each fan gets its own vertex again. Quadrilaterals are cut
-along their shorter diagonal.
+rounding are one; where fans of triangles then meet in a single point, each fan gets its own vertex again.
+Quadrilaterals are cut along their shorter diagonal.
 
 Whatever meshio does with bad bytes (raise, print, exit) comes out as one `FormatError` that names the file.
 
