@@ -2,8 +2,8 @@
 
 Eight corners are chosen, extreme points in the diagonal directions of the surface's principal axes. A closed path
 through all of them (a Hamiltonian cycle of the cube) divides the surface into two disks; two more paths divide each
-into three patches. So any eight distinct vertices lead to a division with the cube's graph. It is then made straight and
-even (see `layout`). Of the cube's six cycles the one with the shortest paths is taken.
+into three patches. So any eight distinct vertices lead to a division with the cube's graph. It is then made straight
+and even (see `layout`). Of the cube's six cycles the one with the shortest paths is taken.
 
 Axis letters: v vertex, t triangle, n corner of the cube.
 """
