@@ -1,0 +1,199 @@
+r"""Untangling and smoothing of simplicial meshes by moving nodes (Escobar et al. 2003).
+
+With A the edges of a simplex from one of its vertices, W those of its ideal from the same vertex, and S = A W^-1,
+
+    eta = |S|^2 / (d h(sigma)^(2/d)),   sigma = det S,   h(sigma) = (sigma + (sigma^2 + 4 delta^2)^(1/2)) / 2,
+
+is 1 where the simplex is similar to its ideal and grows as it flattens or folds. Each free node in turn goes to a
+minimum of the p-norm of eta over the simplices around it, by Newton's method with a line search. There delta is
+the smallest value for which h(sigma_min) >= epsilon, epsilon being relative to the mean |sigma| around the node:
+
+    delta = (epsilon (epsilon - sigma_min))^(1/2)   if sigma_min < epsilon, else 0.
+
+S does not depend on the vertex: S = sum_v x_v g_v^T with g_v the gradients of the barycentric coordinates on the ideal.
+
+Axis letters: m simplex, v its vertex, n node, d dimension.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import nlopt
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.meccano.bisection import FULL, BisectedMesh
+from geometry.meccano.blocks import place
+from geometry.meccano.kernels_relocation import energy_gradient, incidence, shapes, sweep
+from iga.errors import InputError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+EPSILON = 1e-3
+
+
+def ideal_gradients(ideal: Array) -> Array:
+    """Gradients (m, d + 1, d) of the barycentric coordinates on ideal simplices with vertices (m, d + 1, d).
+
+    Raises
+    ------
+    InputError : an ideal simplex is flat.
+    """
+    W = np.swapaxes(ideal[:, 1:] - ideal[:, :1], 1, 2)
+    det = np.linalg.det(W)
+    size = np.abs(W).max(axis=(1, 2)) ** W.shape[1]
+    if (flat := np.flatnonzero(np.abs(det) <= 1e-12 * size)).size:
+        raise InputError(f"the ideal shape of element {flat[0]} is flat")
+    rows = np.linalg.inv(W)  # row v - 1 is the gradient of coordinate v
+    return np.ascontiguousarray(np.concatenate([-rows.sum(axis=1, keepdims=True), rows], axis=1))
+
+
+def picture(mesh: BisectedMesh) -> Array:
+    """Vertices (m, d + 1, d) of all simplices in the straight picture of the meccano: the ideal shapes.
+
+    Raises
+    ------
+    InputError : the picture folds a simplex.
+    """
+    m, size, d = mesh.places.shape
+    x = place(mesh.blocks, np.repeat(mesh.block, size), mesh.places.reshape(-1, d) / FULL).reshape(m, size, d)
+    own = np.linalg.det((mesh.places[:, 1:] - mesh.places[:, :1]) / FULL)
+    det = np.linalg.det(x[:, 1:] - x[:, :1])
+    if (folded := np.flatnonzero(det * own <= 0.0)).size:
+        block = mesh.block[folded[0]]
+        raise InputError(f"the straight picture of the meccano folds in block {block}; give its corners other places")
+    return x
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Shapes of a mesh.
+
+    Attributes
+    ----------
+    inverted : number of simplices with sigma <= 0.
+    least, mean : mean ratio d sigma^(2/d) / |S|^2, zero for inverted ones.
+    """
+
+    inverted: int
+    least: float
+    mean: float
+
+
+def mean_ratios(tets: Index, gradients: Array, nodes: Array) -> tuple[Array, Array]:
+    """Sigma (m,) and mean ratio (m,), zero where sigma <= 0."""
+    return shapes(tets, gradients, nodes)
+
+
+def quality(tets: Index, gradients: Array, nodes: Array) -> Quality:
+    """Shapes of all simplices, summed up."""
+    sigma, ratio = mean_ratios(tets, gradients, nodes)
+    return Quality(int((sigma <= 0.0).sum()), float(ratio.min()), float(ratio.mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class Relocated:
+    """Result of relocation.
+
+    Attributes
+    ----------
+    nodes : (n, d) positions.
+    inverted : (sweeps + 1,) inverted simplices before the first and after each sweep.
+    moves : (sweeps,) largest move of a node, relative to the mean length of the edges at it.
+    quality : shapes at the end.
+    """
+
+    nodes: Array
+    inverted: Index
+    moves: Array
+    quality: Quality = field(repr=False)
+
+
+def relocate(
+    tets: Index, gradients: Array, nodes: Array, free: NDArray[np.bool_], sweeps: int = 20, power: float = 2.0,
+    epsilon: float = EPSILON, tolerance: float = 1e-2, newton: int = 3,
+) -> Relocated:
+    """Move free nodes one after the other, sweep after sweep, until they rest.
+
+    Parameters
+    ----------
+    tets : (m, d + 1)
+    gradients : (m, d + 1, d) of `ideal_gradients`.
+    nodes : (n, d)
+    free : (n,) nodes that may move.
+    sweeps : most sweeps.
+    power : exponent p of the norm.
+    epsilon : see above.
+    tolerance : a sweep in which no node moves by more than this part of the edges at it is the last one, unless
+        simplices are inverted and their number falls.
+    newton : most Newton steps at one node.
+    """
+    nodes = np.array(nodes, dtype=float)
+    start, around = incidence(tets, len(nodes))
+    order = np.flatnonzero(free & (np.diff(start) > 0))
+    inverted = [quality(tets, gradients, nodes).inverted]
+    moves: list[float] = []
+    for step in range(sweeps if len(order) else 0):
+        turn = order if step % 2 == 0 else order[::-1].copy()
+        moves.append(float(sweep(nodes, tets, gradients, start, around, turn, power, epsilon, newton)))
+        inverted.append(quality(tets, gradients, nodes).inverted)
+        if moves[-1] < tolerance and not 0 < inverted[-1] < inverted[-2]:
+            break
+    return Relocated(nodes, np.array(inverted), np.array(moves), quality(tets, gradients, nodes))
+
+
+def relocate_globally(
+    tets: Index, gradients: Array, nodes: Array, free: NDArray[np.bool_], rounds: int = 10, power: float = 2.0,
+    epsilon: float = EPSILON, evaluations: int = 200,
+) -> Relocated:
+    """Move all free nodes at once: L-BFGS on sum_m eta^p with one delta for the mesh, which falls from round to round.
+
+    Slower than `relocate` and, where the mesh can be untangled only in places, worse: one bad simplex sets delta for
+    all. Arguments as there; ``evaluations`` bounds each round.
+    """
+    nodes = np.array(nodes, dtype=float)
+    rows = np.flatnonzero(free)
+    inverted, moves = [quality(tets, gradients, nodes).inverted], []
+    for step in range(rounds if len(rows) else 0):
+        sigma = mean_ratios(tets, gradients, nodes)[0]
+        floor = max(epsilon, 0.1 ** (step + 1)) * float(np.abs(sigma).mean())
+        least = float(sigma.min())
+        delta = float(np.sqrt(floor * (floor - least))) if least < floor else 0.0
+        start = nodes[rows].copy()
+        nodes = _minimise(tets, gradients, nodes, rows, power, delta, evaluations)
+        moves.append(float(np.abs(nodes[rows] - start).max() / np.ptp(nodes, axis=0).max()))
+        inverted.append(quality(tets, gradients, nodes).inverted)
+        if delta == 0.0 and moves[-1] < 1e-4:
+            break
+    return Relocated(nodes, np.array(inverted), np.array(moves), quality(tets, gradients, nodes))
+
+
+def _minimise(
+    tets: Index, gradients: Array, nodes: Array, rows: Index, power: float, delta: float, evaluations: int
+) -> Array:
+    """Nodes (n, d) after L-BFGS on those of ``rows``; the best that was seen, should the line search fail."""
+    nodes = nodes.copy()
+    best, lowest = nodes[rows].copy(), np.inf
+    scale = energy_gradient(tets, gradients, nodes, power, delta)[0]
+
+    def objective(x: Array, slope: Array) -> float:
+        nonlocal best, lowest
+        nodes[rows] = x.reshape(best.shape)
+        value, gradient = energy_gradient(tets, gradients, nodes, power, delta)
+        if slope.size:
+            slope[:] = gradient[rows].ravel() / scale
+        if value < lowest:
+            best, lowest = nodes[rows].copy(), float(value)
+        return float(value / scale)
+
+    solver = nlopt.opt(nlopt.LD_LBFGS, best.size)
+    solver.set_min_objective(objective)
+    solver.set_maxeval(evaluations)
+    solver.set_ftol_rel(1e-9)
+    with suppress(nlopt.RoundoffLimited, nlopt.runtime_error):
+        solver.optimize(best.ravel())
+    nodes[rows] = best
+    return nodes
