@@ -1,0 +1,428 @@
+r"""Truncated hierarchical B-splines on a T-mesh: the space of optimal order on a meccano.
+
+At level l every block carries tensor-product splines of degree p with open uniform knots on (2^l)^d cells. Across
+block sides functions of index zero (or last) in the normal direction are identified by their traces, also around
+irregular edges and corners, in whatever way the blocks' axes lie: level l is a basis of splines that are C^(p-1) inside
+blocks and C^0 across. With Omega_l the union of all cells of level >= l, a function of level l is
+
+    *inside*   if its support, in all blocks, lies in Omega_l,
+    *active*   if it is inside and not inside Omega_{l+1}: it touches a leaf cell of level l.
+
+The active functions of all levels, each cut back by dropping inside functions from its expansion on every finer level
+(truncation), are a basis; they are non-negative and sum to one (Giannelli, Juettler, Speleers, "THB-splines", CAGD 29,
+2012, doi:10.1016/j.cagd.2012.03.025). The theory asks only for nested spaces with locally independent bases, so gluing
+needs nothing new.
+
+On a cell of level l all functions are combinations M of the (p+1)^d splines of level l there. From a cell to its half,
+
+    M <- [ M R with the columns of inside functions set to zero ; one unit row for each active function ],
+
+and at a leaf C = M E with R, E Kronecker products of the tables in `splines`. Cells that see only functions of their
+own level are stored as Kronecker factors; the others share dense patterns, found by what M depends on.
+
+Elements: leaf cell c of the T-mesh is element ``element[c, 1]`` of block ``element[c, 0]`` of the space, with the
+reference coordinates of the cell, xi = (corner + size * local), so its faces are numbered as the sides of its block.
+Block 0 of the space holds the cells with factors, the others follow by number of functions; cells ascend in each.
+
+Axis letters: c leaf cell, m cell of one level, k block of the meccano, i spline on a cell, n function, r row, d
+dimension.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.meccano.blocks import Blocks
+from geometry.meccano.splines import bezier_table, refinement_table, window
+from geometry.meccano.tmesh import Nodes, TMesh
+from iga.bernstein import LocalBasis, bernstein
+from iga.block import Block, Kronecker, Patterns
+from iga.domain import Space
+from iga.errors import InputError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_BATCH = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Hierarchy:
+    """A space of truncated hierarchical splines; make it with `hierarchy`.
+
+    Attributes
+    ----------
+    tmesh : the mesh.
+    degree : p, in every direction.
+    space : the functions on elements.
+    element : (c, 2) block of the space and element in it of each leaf cell.
+    level : (n,) level of each function.
+    home : (n,) a leaf cell of that level in the function's support, close to its middle.
+    index : (n, d) number of the function's spline in the block of that cell, from 0 to 2^level + p - 1.
+    """
+
+    tmesh: TMesh
+    degree: int
+    space: Space
+    element: Index
+    level: Index
+    home: Index
+    index: Index
+
+
+def hierarchy(tmesh: TMesh, degree: int = 3) -> Hierarchy:
+    """Truncated hierarchical splines on a T-mesh.
+
+    Few functions act on each element if the mesh is graded with ``grading=degree`` (`tmesh.octree`).
+
+    Raises
+    ------
+    InputError : a degree outside 1 to 4, or more functions than keys can name.
+    """
+    if not 1 <= degree <= 4:
+        raise InputError(f"hierarchical splines have degrees 1 to 4, not {degree}")
+    glue = _entities(tmesh.blocks)
+    levels: list[_Level] = []
+    count = 0
+    for nodes in tmesh.tree:
+        levels.append(_level(nodes, tmesh.blocks, glue, degree, count))
+        count += len(levels[-1].home)
+    space, element = _space(tmesh, levels, degree, count)
+    home = np.concatenate([own.home for own in levels])
+    index = np.concatenate([own.index for own in levels])
+    level = np.repeat(np.arange(len(levels)), [len(own.home) for own in levels])
+    return Hierarchy(tmesh, degree, space, element, level, home, index)
+
+
+def offsets(degree: int, dim: int) -> Index:
+    """Numbers ((p+1)^d, d) of the splines on a cell relative to its place, in the order of Bernstein functions."""
+    return np.array(list(np.ndindex(*(degree + 1,) * dim)), dtype=np.int64)
+
+
+# --- splines of one level, glued --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Entities:
+    """Corners, edges, sides and insides of blocks, by block and code (0 free, 1 low, 2 high; direction 0 slowest).
+
+    Attributes
+    ----------
+    number, copies : (k, 3^d) number of the entity, and how many blocks have it.
+    order : (k, 3^d, d) directions in canonical order, pinned ones last.
+    flip : (k, 3^d, d) whether each of those runs against the canonical sense.
+    free : (3^d,) number of free directions.
+    """
+
+    number: Index
+    copies: Index
+    order: Index
+    flip: Mask
+    free: Index
+
+
+def _entities(blocks: Blocks) -> _Entities:
+    """Canonical coordinates: from the corner of least number, first along the edge to the lesser neighbour."""
+    d, count = blocks.dim, len(blocks.corners)
+    codes = np.array(list(np.ndindex(*(3,) * d)), dtype=np.int64)
+    vertices = blocks.cell.vertices.astype(np.int64)
+    names = np.full((count, len(codes), 2**d), -1, dtype=np.int64)
+    order = np.tile(np.arange(d), (count, len(codes), 1))
+    flip = np.zeros((count, len(codes), d), dtype=bool)
+    for number, code in enumerate(codes):
+        free, pinned = np.flatnonzero(code == 0), np.flatnonzero(code)
+        own = np.flatnonzero((vertices[:, pinned] == code[pinned] - 1).all(axis=1))
+        corners = blocks.corners[:, own]
+        names[:, number, : len(own)] = np.sort(corners, axis=1)
+        if not len(pinned) or not len(free):
+            continue
+        origin = vertices[own[corners.argmin(axis=1)]]
+        ends = np.empty((count, len(free)), dtype=np.int64)
+        for a, axis in enumerate(free.tolist()):
+            end = origin.copy()
+            end[:, axis] ^= 1
+            place = (vertices[None] == end[:, None]).all(axis=2).argmax(axis=1)
+            ends[:, a] = blocks.corners[np.arange(count), place]
+        ranked = free[np.argsort(ends, axis=1)]
+        order[:, number] = np.column_stack([ranked, np.tile(pinned, (count, 1))])
+        flip[:, number, : len(free)] = np.take_along_axis(origin, ranked, axis=1) == 1
+    _, inverse, copies = np.unique(names.reshape(-1, 2**d), axis=0, return_inverse=True, return_counts=True)
+    inverse = inverse.reshape(count, len(codes))
+    return _Entities(inverse, copies[inverse], order, flip, (codes == 0).sum(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """Splines of one level on the cells of that level.
+
+    Attributes
+    ----------
+    nodes : the cells.
+    inside : (m, i) whether the spline's support lies in Omega_l.
+    number : (m, i) number of the active function, or -1.
+    home, index : of the active functions, as in `Hierarchy`.
+    """
+
+    nodes: Nodes
+    inside: Mask
+    number: Index
+    home: Index
+    index: Index
+
+
+def _level(nodes: Nodes, blocks: Blocks, glue: _Entities, p: int, start: int) -> _Level:
+    local = offsets(p, blocks.dim)
+    key, support = _keys(nodes, blocks, glue, p)
+    _, first, inverse, found = np.unique(key.ravel(), return_index=True, return_inverse=True, return_counts=True)
+    inverse = inverse.reshape(key.shape)
+    inside = found == support.ravel()[first]
+    leaves = np.flatnonzero(nodes.leaf >= 0)
+    touched = np.zeros(len(found), dtype=bool)
+    touched[inverse[leaves].ravel()] = True
+    active = np.flatnonzero(inside & touched)
+    number = np.full(len(found), -1, dtype=np.int64)
+    number[active] = start + np.arange(len(active))
+    numbers = number[inverse]
+    # Home: of all leaf cells of a function, one in which it is a middle spline.
+    row, i = np.nonzero(numbers[leaves] >= 0)
+    distance = np.abs(2 * local - p).sum(axis=1)
+    owner = numbers[leaves[row], i] - start
+    best = np.lexsort((row, distance[i], owner))
+    best = best[np.flatnonzero(np.diff(owner[best], prepend=-1))]
+    home = nodes.leaf[leaves[row[best]]]
+    return _Level(nodes, inside[inverse], numbers, home, nodes.place[leaves[row[best]]] + local[i[best]])
+
+
+def _keys(nodes: Nodes, blocks: Blocks, glue: _Entities, p: int) -> tuple[Index, Index]:
+    """Keys of glued splines (m, i), and the number of cells in their supports (m, i)."""
+    d, n, intervals = blocks.dim, (1 << nodes.level) + p, 1 << nodes.level
+    if int(glue.number.max(initial=0) + 1) * n**d >= 2**63:
+        raise InputError(f"splines of level {nodes.level} on {len(blocks.corners)} blocks are too many to number")
+    index = nodes.place[:, None] + offsets(p, d)
+    spans = np.minimum(index, intervals - 1) - np.maximum(index - p, 0) + 1
+    support = spans.prod(axis=2)
+    code = np.zeros(index.shape[:2], dtype=np.int64)
+    for axis in range(d):
+        code = 3 * code + (index[..., axis] == 0) + 2 * (index[..., axis] == n - 1)
+    key = np.broadcast_to(glue.number[nodes.block, 0][:, None], code.shape).copy()
+    for axis in range(d):
+        key = key * n + index[..., axis]
+    m, i = np.nonzero(code)
+    block, code = nodes.block[m], code[m, i]
+    own = index[m, i]
+    pinned = glue.number[block, code]
+    for axis in range(d):
+        value = own[np.arange(len(own)), glue.order[block, code, axis]]
+        value = np.where(glue.flip[block, code, axis], n - 1 - value, value)
+        pinned = pinned * n + np.where(axis < glue.free[code], value, 0)
+    key[m, i] = pinned
+    support[m, i] *= glue.copies[block, code]
+    return key, support
+
+
+# --- elements ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _States:
+    """Distinct matrices M of the split cells of a level, rows of one after those of the other.
+
+    Attributes
+    ----------
+    of : (m,) number of each cell's matrix; -1 at leaves.
+    start : (states + 1,) rows of matrix s are start[s]:start[s + 1].
+    rows : (r, i).
+    level, local : (r,) level of each row's function, and its number among the splines on the ancestor of that level.
+    """
+
+    of: Index
+    start: Index
+    rows: Array
+    level: Index
+    local: Index
+
+
+@dataclass(frozen=True, eq=False)
+class _Leaves:
+    """Leaf cells of a level and their dense patterns, rows ragged as in `_States`; -1 is a cell with factors."""
+
+    node: Index
+    pattern: Index
+    start: Index
+    rows: Array
+    level: Index
+    local: Index
+
+
+def _space(tmesh: TMesh, levels: list[_Level], p: int, count: int) -> tuple[Space, Index]:
+    """Blocks of elements from levels, and where each leaf cell went."""
+    d = tmesh.dim
+    basis = bernstein(tmesh.blocks.cell, p)
+    parents: list[Index] = []
+    states: _States | None = None
+    leaves: list[_Leaves] = []
+    for l, own in enumerate(levels):
+        above = np.searchsorted(levels[l - 1].nodes.key, own.nodes.key >> d) if l else np.empty(0, dtype=np.int64)
+        parents.append(above)
+        states, found = _descend(own, states, above, p)
+        leaves.append(found)
+    element = np.empty((tmesh.cells, 2), dtype=np.int64)
+    blocks = [_regular(levels, leaves, p, element, tmesh)]
+    if not blocks[0].elements:
+        blocks = []
+    for size in np.unique(np.concatenate([np.diff(own.start) for own in leaves])).tolist():
+        blocks.append(_irregular(levels, leaves, parents, size, len(blocks), element, basis))
+    return Space(tuple(blocks), count), element
+
+
+def _descend(own: _Level, above: _States | None, parent: Index, p: int) -> tuple[_States, _Leaves]:
+    """Matrices of one level from those of the level above."""
+    nodes = own.nodes
+    full = own.inside.all(axis=1)
+    active = own.number >= 0
+    leaf = nodes.leaf >= 0
+    before = above.of[parent] if above is not None else np.full(len(nodes.key), -1, dtype=np.int64)
+    left, right = window(nodes.place >> 1, max(nodes.level - 1, 0), p)
+    kind = ((left * p + right) * 2 + (nodes.place & 1)).astype(np.uint8)
+    # Where all splines are inside, nothing comes from above.
+    before = np.where(full, -1, before)
+    kind[full] = 0
+    signs = np.column_stack([
+        before.astype(np.int32).view(np.uint8).reshape(-1, 4), kind, np.packbits(own.inside, axis=1),
+        np.packbits(active, axis=1),
+    ])
+    of, first = _distinct(signs, ~leaf)
+    made = _States(of, *_matrices(own, above, before, first, p, at_leaf=False))
+    pattern, first = _distinct(signs, leaf & ~full)
+    where = np.flatnonzero(leaf)
+    return made, _Leaves(where, pattern[where], *_matrices(own, above, before, first, p, at_leaf=True))
+
+
+def _distinct(rows: NDArray[np.uint8], chosen: Mask) -> tuple[Index, Index]:
+    """Number of each chosen row among the distinct ones (-1 elsewhere), and the first place of each."""
+    number = np.full(len(rows), -1, dtype=np.int64)
+    where = np.flatnonzero(chosen)
+    if not len(where):
+        return number, where
+    packed = np.ascontiguousarray(rows[where]).view(np.dtype((np.void, rows.shape[1]))).ravel()
+    _, first, number[where] = np.unique(packed, return_index=True, return_inverse=True)
+    return number, where[first]
+
+
+def _matrices(
+    own: _Level, above: _States | None, before: Index, cells: Index, p: int, at_leaf: bool
+) -> tuple[Index, Array, Index, Index]:
+    """Matrices M of cells, or C = M E at leaves: start, rows, level and local as in `_States`."""
+    nodes = own.nodes
+    d, size = nodes.place.shape[1], (p + 1) ** nodes.place.shape[1]
+    counts, rows, levels, locals_ = [np.zeros(1, dtype=np.int64)], [], [], []
+    for begin in range(0, len(cells), _BATCH):
+        some = cells[begin : begin + _BATCH]
+        inside, active, place = own.inside[some], own.number[some] >= 0, nodes.place[some]
+        s, i = np.nonzero(active)
+        lines = [np.eye(size)[i]] if not at_leaf else []
+        E = bezier_table(p)[window(place, nodes.level, p)] if at_leaf else None  # (m, d, p+1, p+1)
+        if E is not None:
+            whole = E[:, 0]
+            for axis in range(1, d):
+                whole = np.einsum("mij,mkl->mikjl", whole, E[:, axis]).reshape(len(some), whole.shape[1] * (p + 1), -1)
+            lines = [whole[s, i]]
+        owner, level, local = [s], [np.full(len(s), nodes.level)], [i]
+        up = before[some]
+        lower = np.flatnonzero(up >= 0)
+        if above is not None and len(lower):
+            first, length = above.start[up[lower]], np.diff(above.start)[up[lower]]
+            r = np.arange(int(length.max()))
+            there = r < length[:, None]
+            source = np.where(there, first[:, None] + r, 0)
+            M = np.where(there[..., None], above.rows[source], 0.0)
+            left, right = window(place[lower] >> 1, nodes.level - 1, p)
+            R = refinement_table(p)[left, right, place[lower] & 1]
+            M = _along_axes(M, R) * ~inside[lower][:, None]
+            s, r = np.nonzero(M.any(axis=2))
+            if E is not None:
+                M = _along_axes(M, E[lower])
+            lines.insert(0, M[s, r])
+            owner.insert(0, lower[s])
+            level.insert(0, above.level[source[s, r]])
+            local.insert(0, above.local[source[s, r]])
+        owners = np.concatenate(owner)
+        order = np.argsort(owners, kind="stable")
+        counts.append(np.bincount(owners, minlength=len(some)))
+        rows.append(np.concatenate(lines)[order])
+        levels.append(np.concatenate(level)[order])
+        locals_.append(np.concatenate(local)[order])
+    start = np.cumsum(np.concatenate(counts))
+    if not rows:
+        return start, np.empty((0, size)), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    return start, np.concatenate(rows), np.concatenate(levels), np.concatenate(locals_)
+
+
+def _along_axes(M: Array, factors: Array) -> Array:
+    """Rows M (m, r, i) times the Kronecker product of factors (m, d, p+1, p+1)."""
+    m, r, size = M.shape
+    n = factors.shape[2]
+    grid = M
+    for axis in range(factors.shape[1] - 1, -1, -1):
+        grid = grid.reshape(m, r, -1, n) @ factors[:, axis, None]
+        grid = np.moveaxis(grid, -1, 2)  # the next axis comes last; after all, the order is the first one again
+    return np.ascontiguousarray(grid).reshape(m, r, size)
+
+
+def _regular(levels: list[_Level], leaves: list[_Leaves], p: int, element: Index, tmesh: TMesh) -> Block:
+    """Block 0: cells whose functions are the tensor-product splines of their own level."""
+    d = tmesh.dim
+    cells, dofs, kinds = [], [], []
+    for own, found in zip(levels, leaves):
+        node = found.node[found.pattern < 0]
+        cells.append(own.nodes.leaf[node])
+        dofs.append(own.number[node])
+        left, right = window(own.nodes.place[node], own.nodes.level, p)
+        kinds.append(left * p + right)
+    cell = np.concatenate(cells)
+    order = np.argsort(cell)
+    element[cell[order]] = np.column_stack([np.zeros(len(cell), dtype=np.int64), np.arange(len(cell))])
+    E = bezier_table(p).reshape(p * p, p + 1, p + 1)
+    extraction = Kronecker((E,) * d, np.ascontiguousarray(np.concatenate(kinds)[order]))
+    return Block(bernstein(tmesh.blocks.cell, p), np.concatenate(dofs)[order], extraction)
+
+
+def _irregular(
+    levels: list[_Level], leaves: list[_Leaves], parents: list[Index], size: int, number: int, element: Index,
+    basis: LocalBasis,
+) -> Block:
+    """Block of the cells with dense patterns on which ``size`` functions act."""
+    cells, dofs, patterns, operators, known = [], [], [], [], 0
+    for l, (own, found) in enumerate(zip(levels, leaves)):
+        chosen = np.flatnonzero(np.diff(found.start) == size)
+        if not len(chosen):
+            continue
+        new = np.full(len(found.start), -1, dtype=np.int64)
+        new[chosen] = known + np.arange(len(chosen))
+        row = found.start[chosen][:, None] + np.arange(size)
+        operators.append(found.rows[row])
+        mine = np.flatnonzero(new[found.pattern] >= 0)  # pattern -1 reads the last entry, which is never chosen
+        node = found.node[mine]
+        which = new[found.pattern[mine]]
+        line = row[which - known]
+        level, local = found.level[line], found.local[line]
+        dof = np.empty((len(mine), size), dtype=np.int64)
+        at = node
+        for k in range(l, -1, -1):
+            e, r = np.nonzero(level == k)
+            dof[e, r] = levels[k].number[at[e], local[e, r]]
+            at = parents[k][at] if k else at
+        cells.append(own.nodes.leaf[node])
+        dofs.append(dof)
+        patterns.append(which)
+        known += len(chosen)
+    cell = np.concatenate(cells)
+    order = np.argsort(cell)
+    element[cell[order], 0] = number
+    element[cell[order], 1] = np.arange(len(cell))
+    extraction = Patterns(np.concatenate(operators), np.concatenate(patterns)[order])
+    return Block(basis, np.concatenate(dofs)[order], extraction)
