@@ -19,12 +19,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import permutations
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import Blocks
+from geometry.meccano.blocks import Blocks, place
+from geometry.meccano.kernels_bisection import LEVEL, SIMPLICES, bisect, enter, place_between
 from geometry.meccano.parametrisation import LEVELS
 from iga.errors import InputError
 
@@ -161,15 +162,50 @@ def refine(
     ------
     InputError : the result would have more than ``most`` simplices, or nodes finer than 2^-LEVELS.
     """
-    made = _refine(mesh.tets, mesh.tag, mesh.block, mesh.places, mesh.ends, marked, most)
-    status, tets, tag, block, places, ends, fresh = made
-    if status == 1:
+    m, n = len(mesh.tets), len(mesh.ends)
+    room, nodes = 2 * m + 64, 2 * n + 64
+    tets, tag = _with_room(mesh.tets, room), _with_room(mesh.tag, room)
+    block, places = _with_room(mesh.block, room), _with_room(mesh.places, room)
+    fresh, todo = np.zeros(room, dtype=bool), _with_room(np.asarray(marked, dtype=bool), room)
+    ends, touched = _with_room(mesh.ends, nodes), np.zeros(nodes, dtype=bool)
+    keys, values = _table(nodes)
+    count = np.array([m, n])
+    while status := bisect(tets, tag, block, places, ends, fresh, todo, touched, keys, values, count):
+        if status == LEVEL:
+            raise InputError(
+                f"the mesh of the meccano needs elements finer than 2^-{LEVELS} of a block; ask for a larger tolerance"
+            )
+        if status == SIMPLICES:
+            if room > most:
+                break
+            room *= 2
+            tets, tag = _with_room(tets, room), _with_room(tag, room)
+            block, places = _with_room(block, room), _with_room(places, room)
+            fresh, todo = _with_room(fresh, room), _with_room(todo, room)
+        else:
+            nodes *= 2
+            ends, touched = _with_room(ends, nodes), _with_room(touched, nodes)
+            keys, values = _table(nodes)
+            enter(keys, values, ends, n, count[1])
+    m, n = count.tolist()
+    if status or m > most:
         raise InputError(f"the mesh of the meccano needs more than {most} elements; ask for a larger tolerance")
-    if status == 2:
-        raise InputError(
-            f"the mesh of the meccano needs elements finer than 2^-{LEVELS} of a block; ask for a larger tolerance"
-        )
-    return BisectedMesh(mesh.blocks, tets.copy(), tag.copy(), block.copy(), places.copy(), ends.copy()), fresh.copy()
+    made = BisectedMesh(
+        mesh.blocks, tets[:m].copy(), tag[:m].copy(), block[:m].copy(), places[:m].copy(), ends[:n].copy()
+    )
+    return made, fresh[:m].copy()
+
+
+def _with_room(array: NDArray[Any], room: int) -> NDArray[Any]:
+    larger = np.zeros((room, *array.shape[1:]), dtype=array.dtype)
+    larger[: len(array)] = array
+    return larger
+
+
+def _table(entries: int) -> tuple[Index, Index]:
+    """Keys and values of an empty table that has twice the room."""
+    size = 1 << int(2 * entries).bit_length()
+    return np.full(size, -1, dtype=np.int64), np.empty(size, dtype=np.int64)
 
 
 def refine_all(mesh: BisectedMesh, times: int = 1) -> BisectedMesh:
@@ -189,19 +225,29 @@ def oriented(mesh: BisectedMesh) -> tuple[Index, Index]:
     return tets, places
 
 
+def picture(mesh: BisectedMesh) -> Array:
+    """Vertices (m, d + 1, d) of all simplices in the straight picture of the meccano: the ideal shapes.
+
+    Raises
+    ------
+    InputError : the picture folds a simplex.
+    """
+    m, size, d = mesh.places.shape
+    x = place(mesh.blocks, np.repeat(mesh.block, size), mesh.places.reshape(-1, d) / FULL).reshape(m, size, d)
+    own = np.linalg.det((mesh.places[:, 1:] - mesh.places[:, :1]) / FULL)
+    det = np.linalg.det(x[:, 1:] - x[:, :1])
+    if (folded := np.flatnonzero(det * own <= 0.0)).size:
+        block = mesh.block[folded[0]]
+        raise InputError(f"the straight picture of the meccano folds in block {block}; give its corners other places")
+    return x
+
+
 def place_new(mesh: BisectedMesh, nodes: Array) -> Array:
     """Positions (n', c) of all nodes from those (n, c) of a mesh that it refines, by that one's linear map."""
     result = np.empty((len(mesh.ends), nodes.shape[1]))
     result[: len(nodes)] = nodes
-    _place_new(result, mesh.ends, len(nodes))
+    place_between(result, mesh.ends, len(nodes))
     return result
-
-
-@njit(cache=True)
-def _place_new(nodes, ends, first):  # type: ignore[no-untyped-def]
-    for n in range(first, len(ends)):
-        for c in range(nodes.shape[1]):
-            nodes[n, c] = 0.5 * (nodes[ends[n, 0], c] + nodes[ends[n, 1], c])
 
 
 def _boundary_facets(mesh: BisectedMesh) -> BoundaryFacets:
@@ -226,126 +272,3 @@ def _boundary_facets(mesh: BisectedMesh) -> BoundaryFacets:
         nodes.append(node)
         s.append(own)
     return BoundaryFacets(np.concatenate(tet), np.concatenate(side), np.concatenate(nodes), np.concatenate(s))
-
-
-@njit(cache=True)
-def _slot(keys, key):  # type: ignore[no-untyped-def]
-    """Where a key is, or should go, in an open-addressing table whose size is a power of two."""
-    mask = np.uint64(len(keys) - 1)
-    at = (np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(20)
-    at &= mask
-    while keys[at] != -1 and keys[at] != key:
-        at = (at + np.uint64(1)) & mask
-    return at
-
-
-@njit(cache=True)
-def _key(a, b):  # type: ignore[no-untyped-def]
-    return (min(a, b) << 32) | max(a, b)
-
-
-@njit(cache=True)
-def _grown(array, size):  # type: ignore[no-untyped-def]
-    larger = np.empty((size, *array.shape[1:]), dtype=array.dtype)
-    larger[: len(array)] = array
-    return larger
-
-
-@njit(cache=True)
-def _refine(tets0, tag0, block0, places0, ends0, marked, most):  # type: ignore[no-untyped-def]
-    m, n, d = len(tets0), len(ends0), tets0.shape[1] - 1
-    size, limit = 2 * m + 64, 2 * n + 64
-    tets, tag, block, places = _grown(tets0, size), _grown(tag0, size), _grown(block0, size), _grown(places0, size)
-    ends = _grown(ends0, limit)
-    fresh = np.zeros(size, dtype=np.bool_)
-    touched = np.zeros(limit, dtype=np.bool_)  # ends of split edges
-    keys, values = np.full(1024, -1, dtype=np.int64), np.empty(1024, dtype=np.int64)
-    held = 0
-    status = 0
-    first = True
-    while True:
-        bisected = 0
-        t = 0
-        stop = m if first else 0
-        while t < m:
-            # The first pass takes the marked ones, later passes those with a node on an edge.
-            if first:
-                split = t < stop and marked[t]
-            else:
-                split = False
-                for i in range(d + 1):
-                    if touched[tets[t, i]]:
-                        for j in range(i):
-                            if touched[tets[t, j]]:
-                                key = _key(tets[t, i], tets[t, j])
-                                if keys[_slot(keys, key)] == key:
-                                    split = True
-            if not split:
-                t += 1
-                continue
-            bisected += 1
-            if m + 1 > most:
-                status = 1
-                break
-            if m + 1 > size:
-                size *= 2
-                tets, places = _grown(tets, size), _grown(places, size)
-                tag, block = _grown(tag, size), _grown(block, size)
-                larger = np.zeros(size, dtype=np.bool_)
-                larger[:m] = fresh[:m]
-                fresh = larger
-            k = tag[t]
-            a, b = tets[t, 0], tets[t, k]
-            key = _key(a, b)
-            at = _slot(keys, key)
-            if keys[at] == key:
-                z = values[at]
-            else:
-                if n + 1 > limit:
-                    limit *= 2
-                    ends = _grown(ends, limit)
-                    larger = np.zeros(limit, dtype=np.bool_)
-                    larger[:n] = touched[:n]
-                    touched = larger
-                z = n
-                n += 1
-                ends[z, 0], ends[z, 1] = a, b
-                touched[z] = False
-                touched[a] = touched[b] = True
-                keys[at], values[at] = key, z
-                held += 1
-                if 2 * held > len(keys):
-                    old, was = keys, values
-                    keys, values = np.full(4 * len(old), -1, dtype=np.int64), np.empty(4 * len(old), dtype=np.int64)
-                    for i in range(len(old)):
-                        if old[i] != -1:
-                            at = _slot(keys, old[i])
-                            keys[at], values[at] = old[i], was[i]
-            # Second child at the end, first child in place.
-            for i in range(d + 1):
-                tets[m, i] = tets[t, i]
-                for c in range(d):
-                    places[m, i, c] = places[t, i, c]
-            for c in range(d):
-                twice = places[t, 0, c] + places[t, k, c]
-                if twice & 1:
-                    status = 2
-                middle = twice >> 1
-                for i in range(k):
-                    places[m, i, c] = places[t, i + 1, c]
-                places[m, k, c] = middle
-                places[t, k, c] = middle
-            for i in range(k):
-                tets[m, i] = tets[t, i + 1]
-            tets[m, k] = z
-            tets[t, k] = z
-            tag[t] = tag[m] = k - 1 if k > 1 else d
-            block[m] = block[t]
-            fresh[t] = fresh[m] = True
-            m += 1
-            if first:
-                t += 1
-        if status or (not first and bisected == 0):
-            break
-        first = False
-    return status, tets[:m], tag[:m], block[:m], places[:m], ends[:n], fresh[:m]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from geometry.meccano.relocation import ideal_gradients, relocate
 from iga.bernstein import bernstein
 from iga.cells import HEXAHEDRON, QUADRILATERAL, Cell
 from iga.errors import InputError
@@ -160,17 +161,17 @@ def boundary_corners(blocks: Blocks) -> Index:
     return blocks.corners[block[:, None], vertices[side]]
 
 
-def pillowed(blocks: Blocks, share: float = 0.2) -> Blocks:
+def pillowed(blocks: Blocks, share: float = 0.3) -> Blocks:
     """The meccano with one new block under each boundary side, so that no block has two sides on the boundary.
 
-    The old blocks come first and keep their axes. Boundary corners of the picture get a copy inside, ``share`` of
-    a side's length below each side at the corner. New blocks follow in the order of ``blocks.boundary_sides``; their
+    The old blocks come first and keep their axes. New blocks follow in the order of ``blocks.boundary_sides``; their
     boundary sides keep that order and the coordinates s. The axis that runs outwards is the last one (the first one, in
-    the plane), so that the new blocks are positive.
+    the plane), so that the new blocks are positive. In the picture, boundary corners get a copy inside, ``share`` of a
+    side's length below each side at the corner; the picture of several blocks is then straightened.
 
     Raises
     ------
-    InputError : share is not in (0, 1/2).
+    InputError : share is not in (0, 1/2), or no picture without folds is found.
     """
     if not 0.0 < share < 0.5:
         raise InputError(f"share must lie between 0 and 1/2, not {share}")
@@ -184,7 +185,28 @@ def pillowed(blocks: Blocks, share: float = 0.2) -> Blocks:
     else:
         new = np.concatenate([inner, outer], axis=1)
     places = np.concatenate([blocks.places, blocks.places[moved] + share * _inwards(blocks, sides)[moved]])
-    return Blocks(np.concatenate([copy[blocks.corners], new]), places)
+    made = Blocks(np.concatenate([copy[blocks.corners], new]), places)
+    return made if len(blocks.corners) == 1 else straightened(made)
+
+
+def straightened(blocks: Blocks, sweeps: int = 200) -> Blocks:
+    """The meccano in a picture where the corners of its blocks are as near to those of cubes as they go.
+
+    All places move, those on the boundary as well, to minimise the shapes of the 2^d corner simplices of each block.
+
+    Raises
+    ------
+    InputError : a corner remains folded.
+    """
+    vertex = np.arange(2**blocks.dim)
+    local = np.column_stack([vertex, vertex[:, None] ^ (1 << np.arange(blocks.dim))])
+    ideals = np.tile(blocks.cell.vertices[local], (len(blocks.corners), 1, 1))
+    simplices = blocks.corners[:, local].reshape(-1, blocks.dim + 1)
+    free = np.ones(len(blocks.places), dtype=bool)
+    made = relocate(simplices, ideal_gradients(ideals), blocks.places, free, sweeps, tolerance=1e-3)
+    if made.quality.inverted:
+        raise InputError(f"{made.quality.inverted} corners of the meccano's blocks stay folded; use smaller voxels")
+    return Blocks(blocks.corners, made.nodes)
 
 
 def _inwards(blocks: Blocks, sides: Index) -> Array:

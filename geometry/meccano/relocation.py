@@ -24,8 +24,6 @@ import nlopt
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.bisection import FULL, BisectedMesh
-from geometry.meccano.blocks import place
 from geometry.meccano.kernels_relocation import energy_gradient, incidence, shapes, sweep
 from iga.errors import InputError
 
@@ -49,23 +47,6 @@ def ideal_gradients(ideal: Array) -> Array:
         raise InputError(f"the ideal shape of element {flat[0]} is flat")
     rows = np.linalg.inv(W)  # row v - 1 is the gradient of coordinate v
     return np.ascontiguousarray(np.concatenate([-rows.sum(axis=1, keepdims=True), rows], axis=1))
-
-
-def picture(mesh: BisectedMesh) -> Array:
-    """Vertices (m, d + 1, d) of all simplices in the straight picture of the meccano: the ideal shapes.
-
-    Raises
-    ------
-    InputError : the picture folds a simplex.
-    """
-    m, size, d = mesh.places.shape
-    x = place(mesh.blocks, np.repeat(mesh.block, size), mesh.places.reshape(-1, d) / FULL).reshape(m, size, d)
-    own = np.linalg.det((mesh.places[:, 1:] - mesh.places[:, :1]) / FULL)
-    det = np.linalg.det(x[:, 1:] - x[:, :1])
-    if (folded := np.flatnonzero(det * own <= 0.0)).size:
-        block = mesh.block[folded[0]]
-        raise InputError(f"the straight picture of the meccano folds in block {block}; give its corners other places")
-    return x
 
 
 @dataclass(frozen=True)

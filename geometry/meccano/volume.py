@@ -18,10 +18,10 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from geometry.meccano.adaptation import Measure, Onto, adapt, boundary_nodes
-from geometry.meccano.bisection import BisectedMesh, coloured, kuhn, oriented, place_new, refine, refine_all
+from geometry.meccano.bisection import BisectedMesh, coloured, kuhn, oriented, picture, place_new, refine, refine_all
 from geometry.meccano.blocks import Blocks
 from geometry.meccano.parametrisation import Parametrisation
-from geometry.meccano.relocation import ideal_gradients, mean_ratios, picture, relocate
+from geometry.meccano.relocation import ideal_gradients, mean_ratios, relocate
 from iga.progress import QUIET, Progress
 
 Array = NDArray[np.float64]

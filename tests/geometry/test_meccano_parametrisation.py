@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from geometry.meccano.adaptation import adapt, boundary_nodes, facet_distances
-from geometry.meccano.bisection import coloured, kuhn, oriented, refine, refine_all
+from geometry.meccano.bisection import coloured, kuhn, oriented, picture, refine, refine_all
 from geometry.meccano.blocks import Blocks, boundary_corners, cube, pillowed, place, polycube
 from geometry.meccano.parametrisation import Parametrisation, image, locate
-from geometry.meccano.relocation import ideal_gradients, picture, quality
+from geometry.meccano.relocation import ideal_gradients, quality
 from geometry.meccano.volume import parametrise
 from iga.errors import InputError
 
