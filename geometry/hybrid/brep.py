@@ -19,7 +19,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.knots import apply, derivative, evaluation
+from geometry.hybrid.evaluation import curve_values, surface_values
+from geometry.knots import evaluation
 from geometry.patch import Patch
 from iga.errors import InputError
 
@@ -50,12 +51,12 @@ class Curve:
 
 def curve_points(curve: Curve, t: Array) -> Array:
     """Points (q, c) of a curve at parameters (q,)."""
-    return apply(evaluation(curve.knots, curve.degree, t), curve.control, 0)
+    return np.asarray(curve_values(curve.knots, curve.control, np.asarray(t, dtype=float), False))
 
 
 def curve_tangents(curve: Curve, t: Array) -> Array:
     """Derivatives (q, c) of a curve at parameters (q,)."""
-    return apply(derivative(curve.knots, curve.degree, t), curve.control, 0)
+    return np.asarray(curve_values(curve.knots, curve.control, np.asarray(t, dtype=float), True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,36 +153,15 @@ class Brep:
 
 def surface_points(surface: Patch, uv: Array) -> Array:
     """Points (q, 3) of a surface at parameters (q, 2)."""
-    h = _homogeneous_points(surface, uv, (0, 0))
-    return np.asarray(h[:, :3] / h[:, 3:]) if surface.weights is not None else h
+    return surface_frame(surface, uv)[0]
 
 
 def surface_frame(surface: Patch, uv: Array) -> tuple[Array, Array, Array]:
     """Points and the two tangents of a surface at parameters (q, 2), each (q, 3)."""
-    h = _homogeneous_points(surface, uv, (0, 0))
-    du = _homogeneous_points(surface, uv, (1, 0))
-    dv = _homogeneous_points(surface, uv, (0, 1))
-    if surface.weights is None:
-        return h, du, dv
-    x = h[:, :3] / h[:, 3:]
-    return x, (du[:, :3] - x * du[:, 3:]) / h[:, 3:], (dv[:, :3] - x * dv[:, 3:]) / h[:, 3:]
-
-
-def _homogeneous_points(surface: Patch, uv: Array, order: tuple[int, int]) -> Array:
-    if surface.weights is None:
-        local = surface.control
-    else:
-        w = surface.weights[..., None]
-        local = np.concatenate([surface.control * w, w], axis=-1)
-    rows = [
-        (derivative if k else evaluation)(t, p, uv[:, d])
-        for d, (t, p, k) in enumerate(zip(surface.knots, surface.degree, order))
-    ]
-    picked = local[
-        rows[0].first[:, None, None] + np.arange(rows[0].values.shape[1])[None, :, None],
-        rows[1].first[:, None, None] + np.arange(rows[1].values.shape[1])[None, None, :],
-    ]
-    return np.asarray(np.einsum("qi,qj,qijc->qc", rows[0].values, rows[1].values, picked, optimize=True))
+    weights = np.ones(surface.control.shape[:2]) if surface.weights is None else surface.weights
+    ku, kv = surface.knots
+    frame = surface_values(ku, kv, surface.control, weights, np.ascontiguousarray(uv, dtype=float))
+    return frame[:, 0], frame[:, 1], frame[:, 2]
 
 
 def fit_curve(points: Callable[[Array], Array], tolerance: float, degree: int = 5, pieces: int = 1) -> Curve:

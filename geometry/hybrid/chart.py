@@ -1,0 +1,120 @@
+r"""Plane charts of faces, in which they are meshed.
+
+A chart is a map q = (x, y) of the parameters that keeps lengths roughly and has a closed inverse,
+
+    y = s (v - v_0),      x = w(v) (u - u_m),
+
+with s the mean of |S_v| and w(v) the mean of |S_u| along v = const, a cubic spline, or a constant where it hardly
+changes. At a pole w = 0: the degenerate edge becomes one point of the chart, as it is one point in space.
+
+Axis letters: q point, d parameter direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from geometry.hybrid.brep import Face, curve_points, surface_frame, surface_points
+
+Array = NDArray[np.float64]
+
+_ROWS = 17
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """A chart of a face.
+
+    Attributes
+    ----------
+    face : the face.
+    swapped : the parameters are turned (u, v) -> (-v, u) first, because the pole lies at an end of u.
+    centre, origin, scale : u_m, v_0 and s.
+    width : w, a number or a spline in v.
+    poles : values of v at which w = 0.
+    """
+
+    face: Face
+    swapped: bool
+    centre: float
+    origin: float
+    scale: float
+    width: float | CubicSpline
+    poles: tuple[float, ...]
+
+
+def make_chart(face: Face) -> Chart:
+    """Chart of a face, fitted to its trimmed region."""
+    t = np.linspace(0.0, 1.0, 9)
+    uv = np.concatenate([curve_points(c.curve, t) for loop in face.loops for c in loop])
+    swapped = False
+    poles: list[float] = []
+    for loop in face.loops:
+        for c in loop:
+            ends = c.curve.control[[0, -1]]
+            if np.ptp(surface_points(face.surface, curve_points(c.curve, t)), axis=0).max() < 1e-9 * _extent(face):
+                swapped = bool(abs(ends[1, 1] - ends[0, 1]) > abs(ends[1, 0] - ends[0, 0]))
+                poles.append(float(ends[0, 0] if swapped else ends[0, 1]))
+    if swapped:
+        uv = np.stack([-uv[:, 1], uv[:, 0]], axis=1)
+    low, high = uv.min(axis=0), uv.max(axis=0)
+    v = np.linspace(low[1], high[1], _ROWS)
+    u = np.linspace(low[0], high[0], 5)
+    grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+    _, du, dv = surface_frame(face.surface, _turned(grid) if swapped else grid)
+    if swapped:
+        du, dv = dv, du
+    rows = np.linalg.norm(du, axis=1).reshape(5, _ROWS).mean(axis=0)
+    scale = float(np.linalg.norm(dv, axis=1).mean())
+    for pole in poles:
+        rows[np.abs(v - pole) < 1e-9 * max(np.ptp(v), 1e-300)] = 0.0
+    inner = rows[rows > 1e-6 * rows.max()]
+    width: float | CubicSpline = float(rows.mean())
+    if poles or inner.max() > 1.3 * inner.min():
+        width = CubicSpline(v, rows)
+    return Chart(face, swapped, float(u.mean()), float(low[1]), scale, width, tuple(poles))
+
+
+def _extent(face: Face) -> float:
+    return float(np.ptp(face.surface.control.reshape(-1, 3), axis=0).max())
+
+
+def _turned(uv: Array) -> Array:
+    """(v, -u) back to (u, v)."""
+    return np.stack([uv[:, 1], -uv[:, 0]], axis=1)
+
+
+def _widths(chart: Chart, v: Array) -> Array:
+    if isinstance(chart.width, float):
+        return np.full(len(v), chart.width)
+    w = np.asarray(chart.width(v))
+    for pole in chart.poles:
+        w = np.where(np.abs(v - pole) < 1e-9 * np.ptp(chart.width.x), 0.0, w)
+    return w
+
+
+def to_chart(chart: Chart, uv: Array) -> Array:
+    """Chart points (q, 2) of parameters (q, 2)."""
+    if chart.swapped:
+        uv = np.stack([-uv[:, 1], uv[:, 0]], axis=1)
+    x = _widths(chart, uv[:, 1]) * (uv[:, 0] - chart.centre)
+    return np.stack([x, chart.scale * (uv[:, 1] - chart.origin)], axis=1)
+
+
+def to_parameters(chart: Chart, q: Array) -> Array:
+    """Parameters (q, 2) of chart points (q, 2); at a pole the middle of u."""
+    v = chart.origin + q[:, 1] / chart.scale
+    w = _widths(chart, v)
+    small = np.abs(w) < 1e-9 * (np.abs(q[:, 0]) + chart.scale * 1e-9)
+    u = chart.centre + np.where(small, 0.0, q[:, 0] / np.where(small, 1.0, w))
+    uv = np.stack([u, v], axis=1)
+    return _turned(uv) if chart.swapped else uv
+
+
+def chart_points(chart: Chart, q: Array) -> Array:
+    """Points in space (q, 3) of chart points (q, 2)."""
+    return surface_points(chart.face.surface, to_parameters(chart, q))

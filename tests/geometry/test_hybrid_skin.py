@@ -1,0 +1,131 @@
+"""Watertight skins of trimmed solids."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geometry.hybrid import read_cad, shapes
+from geometry.hybrid.brep import Brep, surface_points
+from geometry.hybrid.chart import make_chart, to_chart, to_parameters
+from geometry.hybrid.curves import bezier_points, fit_cubics
+from geometry.hybrid.skeleton import crossings
+from geometry.hybrid.skin import Skin, build_skin
+from geometry.hybrid.triangulation import triangulate
+from iga.bernstein import bernstein
+from iga.cells import TRIANGLE
+from iga.errors import InputError
+
+
+@cache
+def solid(name: str) -> Brep:
+    return shapes.SHAPES[name]()
+
+
+@cache
+def skin_of(name: str) -> Skin:
+    return build_skin(solid(name))
+
+
+def test_arcs_are_met_to_the_sixth_power() -> None:
+    errors = []
+    for angle in (np.pi / 2, np.pi / 4, np.pi / 8):
+        def arc(s: np.ndarray, angle: float = angle) -> np.ndarray:
+            return np.stack([np.cos(angle * s), np.sin(angle * s), 0 * s], axis=-1)
+
+        ends = arc(np.array([[0.0], [1.0]]))[:, :, :]
+        control, distance = fit_cubics(arc, ends[0], ends[1])
+        radius = np.linalg.norm(bezier_points(control, np.linspace(0, 1, 101)), axis=-1)
+        errors.append(np.abs(radius - 1).max())
+        assert distance[0] == pytest.approx(errors[-1], rel=0.2)
+    rates = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert (np.abs(rates - 6) < 0.15).all()
+    assert errors[0] < 3e-4
+
+
+@pytest.mark.parametrize("name", ["bracket", "curved_difference"])
+def test_charts_invert(name: str) -> None:
+    random = np.random.default_rng(3)
+    for face in solid(name).faces:
+        chart = make_chart(face)
+        low, high = (np.array([k[i] for k in face.surface.knots]) for i in (0, -1))
+        uv = low + (high - low) * random.random((40, 2))
+        assert to_parameters(chart, to_chart(chart, uv)) == pytest.approx(uv, abs=1e-10 * np.abs(uv).max())
+
+
+def test_square_with_a_hole_is_triangulated() -> None:
+    outer = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
+    angle = -2 * np.pi * np.arange(8) / 8
+    hole = 0.5 + 0.2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    boundary = np.concatenate([outer, hole])
+    smooth = np.array([False] * 4 + [True] * 8)
+
+    def flat(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.column_stack([q, 0 * q[:, 0]]), np.tile([0.0, 0.0, 1.0], (len(q), 1))
+
+    made = triangulate(
+        boundary, [np.arange(4), 4 + np.arange(8)], smooth, flat, lambda x: np.full(len(x), 0.2), set(), "square"
+    )
+    assert (made.vertices[:12] == boundary).all()
+    p = made.vertices[made.triangles]
+    area = 0.5 * ((p[:, 1, 0] - p[:, 0, 0]) * (p[:, 2, 1] - p[:, 0, 1])
+                  - (p[:, 1, 1] - p[:, 0, 1]) * (p[:, 2, 0] - p[:, 0, 0]))
+    assert area.min() > 0
+    assert area.sum() == pytest.approx(1 - 8 * 0.5 * 0.04 * np.sin(np.pi / 4), rel=1e-12)
+    crossed = outer[[0, 2, 1, 3]]
+    with pytest.raises(InputError, match="crosses itself"):
+        triangulate(crossed, [np.arange(4)], smooth[:4], flat, lambda x: np.ones(len(x)), set(), "bow tie")
+
+
+def test_crossing_triangles_are_found() -> None:
+    x = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.2, 0.2, -1), (0.3, 0.2, 1), (0.2, 0.3, 1), (2, 2, 2.0)])
+    assert crossings(x, np.array([(0, 1, 2), (3, 4, 5)])).tolist() == [[0, 1]]
+    assert len(crossings(x, np.array([(0, 1, 2), (4, 5, 6)]))) == 0
+    assert len(crossings(x, np.array([(0, 1, 2), (0, 4, 5)]))) == 0
+
+
+@pytest.mark.parametrize(("name", "share"), [("bracket", 0.7), ("curved_difference", 0.0)])
+def test_skins_are_watertight_and_near(name: str, share: float) -> None:
+    skin, brep = skin_of(name), solid(name)
+    report = skin.report
+    assert report["watertight_gap"] < 1e-12
+    assert report["crossings"] == 0
+    assert report["folded"] == 0
+    assert report["max_distance"] < 2e-5
+    assert report["volume_error"] < 2e-6
+    assert report["exact_area_share"] > share
+    assert report["min_quality"] > 0.3
+    assert skin.edge_to_edge
+    (block,) = skin.space.blocks
+    triangles = block.dofs[:, [0, 6, 9]]
+    assert triangles.max() == skin.vertices - 1
+    sides = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
+    ways = set(map(tuple, sides.tolist()))
+    assert len(ways) == len(sides)
+    assert all((b, a) in ways for a, b in ways)  # closed and oriented
+    assert set(skin.faces[0].tolist()) == set(range(len(brep.faces)))
+
+
+def test_skin_lies_on_planes_and_vertices_on_surfaces() -> None:
+    skin, brep = skin_of("bracket"), solid("bracket")
+    block = skin.space.blocks[0]
+    inner = bernstein(TRIANGLE, 3).tabulate(np.random.default_rng(7).dirichlet(np.ones(3), 20)[:, 1:], 0)[0]
+    for f, face in enumerate(brep.faces):
+        x = np.einsum("kn,enc->ekc", inner, skin.points[block.dofs[skin.faces[0] == f]]).reshape(-1, 3)
+        if face.kind == "plane":
+            corner = surface_points(face.surface, np.array([[k[0] for k in face.surface.knots]]))
+            c = face.surface.control
+            n = np.cross(c[1, 0] - c[0, 0], c[0, 1] - c[0, 0])
+            assert np.abs((x - corner) @ n / np.linalg.norm(n)).max() < 1e-8 * brep.diagonal
+
+
+@pytest.mark.parametrize(("file", "most"), [("block_through_hole.step", 250), ("block_torus_fillet3.step", 300)])
+def test_real_parts_have_skins(data: Path, file: str, most: int) -> None:
+    skin = build_skin(read_cad(data / "cad" / file))
+    assert skin.report["crossings"] == skin.report["folded"] == 0
+    assert skin.report["max_distance"] < 2e-5
+    assert skin.report["volume_error"] < 1e-6
+    assert skin.report["elements"] <= most
