@@ -1,0 +1,71 @@
+"""Meccanos of any genus: a polycube with the topology of a solid, and its surface divided as the polycube's boundary.
+
+The voxels come from `voxels`, rough places of corners and edges from `wrapping`, the edges from `routing`; `drawing`
+makes them straight and even. The division is then laid on the polycube's sides as any other (`boundary_map`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geometry.meccano.blocks import polycube
+from geometry.meccano.boundary_map import BoundaryMap, boundary_map
+from geometry.meccano.drawing import Drawing, layout_of, relax
+from geometry.meccano.frame import frame_of
+from geometry.meccano.layout import Layout, balance
+from geometry.meccano.paths import refined
+from geometry.meccano.routing import route
+from geometry.meccano.surface import Surface, genus
+from geometry.meccano.voxels import Voxels, place, voxelise
+from geometry.meccano.wrapping import corner_vertices, wrap
+from iga.errors import InputError
+from iga.progress import QUIET, Progress
+
+PER_SIDE = 200  # triangles at least for each side of the polycube, so that there is room for its edges
+
+
+def polycube_layout(
+    surface: Surface, voxels: Voxels | None = None, sweeps: int = 8, progress: Progress = QUIET
+) -> tuple[Layout, dict[str, Any]]:
+    """Divide a surface as the boundary of a polycube.
+
+    Parameters
+    ----------
+    voxels : the polycube; None to let it be found (`voxelise`). Cuboids given by hand: see `voxels.cuboids`.
+    sweeps : how often every corner is moved to the middle of the patches around it.
+
+    Returns
+    -------
+    The division and a report: what `voxelise` and `balance` say.
+
+    Raises
+    ------
+    InputError : the polycube's boundary touches itself or has another genus than the surface, or its edges find no way.
+    """
+    report: dict[str, Any] = {}
+    if voxels is None:
+        voxels, report = voxelise(surface, progress=progress)
+    blocks = polycube(voxels.cells)
+    frame = frame_of(blocks)
+    if frame.genus != genus(surface):
+        raise InputError(f"the polycube has genus {frame.genus}, but the surface has genus {genus(surface)}")
+    fine, _ = refined(surface, PER_SIDE * len(frame.sides))
+    guides = wrap(fine, frame, place(voxels, frame.places), float(voxels.spacing.mean()))
+    corners = corner_vertices(fine, frame, guides)
+    drawing = Drawing(frame, fine, corners, route(fine, frame, corners, guides, progress))
+    layout = layout_of(relax(drawing, sweeps, progress), blocks)
+    return layout, report | balance(layout)
+
+
+def polycube_map(
+    surface: Surface, voxels: Voxels | None = None, sweeps: int = 8, progress: Progress = QUIET
+) -> tuple[BoundaryMap, dict[str, Any]]:
+    """The boundary map of a polycube onto a surface of any genus; see `polycube_layout`.
+
+    Returns
+    -------
+    The map and the reports of the layout and of `boundary_map`.
+    """
+    layout, report = polycube_layout(surface, voxels, sweeps, progress)
+    mapping, quality = boundary_map(layout, progress=progress)
+    return mapping, report | quality

@@ -1,0 +1,406 @@
+"""A set of voxels with the topology of a solid: its meccano, when the solid has handles.
+
+The solid is turned so that its normals are as close to the axes as they can be: the rotation R minimises
+``sum_t A_t |R n_t|_1`` over the triangles (Huang et al., "l1-based construction of polycube maps from complex shapes",
+ACM Trans. Graph. 33(3), 2014, doi:10.1145/2602141). On grids that grow finer, the share of every voxel inside the
+solid is found exactly along lines parallel to the first axis; the voxels more than half inside make the first set.
+Single voxels then join or leave as long as that mends the topology, and afterwards as long as it lowers
+
+    sum over voxels of (share left out + share taken in from outside) + lambda (faces) / 6
+
+without changing the topology. The coarsest set that leaves little of the solid out is taken.
+
+The boundary of a set of voxels is a manifold if and only if at every grid point the voxels of the set are
+connected through faces among the eight around it, and so are the others. Then it has twice as many edges as faces,
+so its Euler characteristic is (points) - (faces).
+
+Axis letters: v vertex, t triangle, i j k voxel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from geometry.meccano.surface import Surface, area_vectors, genus, volume
+from iga.errors import InputError
+from iga.progress import QUIET, Progress
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+LINES = 6  # lines per voxel and direction along which the inside is measured
+THRESHOLDS = (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # first sets: voxels with more than this share inside
+SMOOTHING = 0.1  # lambda / 6
+COARSEST, FINEST = 3.0, 14.0  # voxels along the solid's longest axis
+
+
+@dataclass(frozen=True, eq=False)
+class Voxels:
+    """A set of voxels placed in space.
+
+    Attributes
+    ----------
+    cells : (k, 3) integer positions of the voxels in their grid.
+    rotation : (3, 3) the grid's axes as rows.
+    origin : (3,) the corner of voxel 0, 0, 0, along these axes.
+    spacing : (3,) sides of a voxel.
+    """
+
+    cells: Index
+    rotation: Array
+    origin: Array
+    spacing: Array
+
+
+def place(voxels: Voxels, corners: Array) -> Array:
+    """Points (v, 3) in space of grid points (v, 3)."""
+    return np.asarray((voxels.origin + voxels.spacing * corners) @ voxels.rotation)
+
+
+@dataclass(frozen=True)
+class Topology:
+    """What a set of voxels is, as a shape.
+
+    Attributes
+    ----------
+    pinched : grid points at which the boundary is not a manifold.
+    parts, outsides : components of the set and of its complement, connected through faces.
+    genus : of the boundary; meaningful if nothing is pinched and there is one part and one outside.
+    faces : faces on the boundary.
+    """
+
+    pinched: int
+    parts: int
+    outsides: int
+    genus: int
+    faces: int
+
+
+def topology(inside: Flags) -> Topology:
+    """The topology of a set of voxels (i, j, k); a layer of empty voxels is added around it."""
+    return Topology(*(int(value) for value in _topology(np.pad(inside, 1), _smooth_points())))
+
+
+def voxelise(
+    surface: Surface, resolution: float | None = None, mismatch: float = 0.53, progress: Progress = QUIET
+) -> tuple[Voxels, dict[str, Any]]:
+    """Voxels with the topology of the solid inside a surface.
+
+    Parameters
+    ----------
+    resolution : voxels along the solid's longest axis; None for the fewest that will do.
+    mismatch : volume between voxels and solid, as a share of the solid's, that will do.
+
+    Returns
+    -------
+    The voxels and a report: voxels, boundary_sides, resolution and mismatch.
+
+    Raises
+    ------
+    InputError : no set of voxels has the solid's topology.
+    """
+    handles, size = genus(surface), volume(surface)
+    rotation = orientation(surface)
+    tried = np.arange(COARSEST, FINEST + 0.25, 0.5) if resolution is None else np.array([float(resolution)])
+    if not (tried > 0).all() or not (tried <= 4 * FINEST).all():
+        raise InputError(f"a resolution is a number of voxels between 0 and {4 * FINEST:g}, not {resolution}")
+    best: tuple[float, Voxels, dict[str, Any]] | None = None
+    for number in progress.track(tried.tolist(), "voxels"):
+        found = _on_grids(surface, handles, size, rotation, number)
+        if found is not None and (best is None or found[0] < best[0]):
+            best = found
+            if found[0] <= mismatch:
+                break
+    if best is None:
+        where = f"{tried[0]:g} to {tried[-1]:g} voxels" if len(tried) > 1 else f"{tried[0]:g} voxels"
+        raise InputError(
+            f"no set of voxels has the surface's genus {handles} with {where} along the longest axis; "
+            "give another resolution or cuboids"
+        )
+    return best[1], best[2]
+
+
+def cuboids(surface: Surface, boxes: Index) -> Voxels:
+    """Voxels given as cuboids, fitted to the box of a surface along its own axes.
+
+    Parameters
+    ----------
+    boxes : (n, 2, 3) integer corners of the cuboids, the lowest and the highest of each; they may overlap.
+
+    Raises
+    ------
+    InputError : a cuboid is empty, or the union does not have the surface's topology.
+    """
+    boxes = np.asarray(boxes)
+    if boxes.ndim != 3 or boxes.shape[1:] != (2, 3) or not len(boxes) or (boxes != np.round(boxes)).any():
+        raise InputError(f"cuboids are given as integers (n, 2, 3), lowest and highest corner, not as {boxes.shape}")
+    boxes = boxes.astype(np.int64)
+    empty = np.flatnonzero((boxes[:, 0] >= boxes[:, 1]).any(axis=1))
+    if len(empty):
+        lower, upper = boxes[empty[0]].tolist()
+        raise InputError(f"cuboid {empty[0]} from {lower} to {upper} is empty")
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    inside = np.zeros(high - low, dtype=bool)
+    for lower, upper in boxes - low:
+        inside[tuple(slice(a, b) for a, b in zip(lower, upper, strict=True))] = True
+    require_topology(inside, genus(surface))
+    spacing = np.ptp(surface.points, axis=0) / (high - low)
+    return Voxels(np.argwhere(inside), np.eye(3), surface.points.min(axis=0), spacing)
+
+
+def require_topology(inside: Flags, handles: int) -> None:
+    """Raise unless a set of voxels (i, j, k) bounds one solid of the given genus.
+
+    Raises
+    ------
+    InputError : it does not.
+    """
+    found = topology(inside)
+    if found.parts != 1 or found.outsides != 1:
+        raise InputError(f"the cuboids form {found.parts} parts with {found.outsides - 1} closed holes, not one solid")
+    if found.pinched:
+        raise InputError(f"the cuboids touch themselves at an edge or a corner ({found.pinched} such grid points)")
+    if found.genus != handles:
+        raise InputError(f"the cuboids form a solid of genus {found.genus}, but the surface has genus {handles}")
+
+
+def _on_grids(
+    surface: Surface, handles: int, size: float, rotation: Array, number: float
+) -> tuple[float, Voxels, dict[str, Any]] | None:
+    """Mismatch, voxels and report of the best set on grids with so many voxels along the longest axis."""
+    points = surface.points @ rotation.T
+    low, high = points.min(axis=0), points.max(axis=0)
+    spacing = float((high - low).max()) / number
+    shape = np.ceil((high - low) / spacing).astype(np.int64) + 3
+    smooth = _smooth_points()
+    best, result = np.inf, None
+    for shift in np.ndindex(2, 2, 2):
+        origin = (low + high - spacing * (shape - np.array(shift))) / 2
+        share = shares(surface, rotation, origin, spacing, (int(shape[0]), int(shape[1]), int(shape[2])))
+        for threshold in THRESHOLDS:
+            inside = np.zeros(shape, dtype=bool)
+            inside[1:-1, 1:-1, 1:-1] = share[1:-1, 1:-1, 1:-1] > threshold
+            defects, energy, faces = _relax(inside, share, smooth, handles, SMOOTHING)
+            if defects or energy + SMOOTHING * faces >= best:
+                continue
+            best = energy + SMOOTHING * faces
+            mismatch = energy * spacing**3 / size
+            report = {
+                "voxels": int(inside.sum()), "boundary_sides": int(faces), "resolution": number, "mismatch": mismatch,
+            }
+            result = mismatch, Voxels(np.argwhere(inside), rotation, origin, np.full(3, spacing)), report
+    return result
+
+
+def orientation(surface: Surface, trials: int = 400, seed: int = 7) -> Array:
+    """Rotation (3, 3) that brings the surface's normals nearest to the axes, in the mean; its rows are the axes.
+
+    The solid is longest along the first axis.
+    """
+    normals = area_vectors(surface)
+    centred = surface.points - surface.points.mean(axis=0)
+    principal = np.linalg.svd(centred, full_matrices=False)[2]
+    random = np.random.default_rng(seed)
+
+    def excess(rotation: Array) -> float:
+        return float(np.abs(normals @ rotation.T).sum())
+
+    candidates = [np.eye(3), principal, *(_turn(random.normal(size=4)) for _ in range(trials))]
+    found = min((_descend(rotation, excess) for rotation in sorted(candidates, key=excess)[:5]), key=excess)
+    found = found[np.argsort(-np.ptp(centred @ found.T, axis=0), kind="stable")]
+    return np.asarray(found * np.array([1.0, 1.0, np.sign(np.linalg.det(found))])[:, None])
+
+
+def shares(surface: Surface, rotation: Array, origin: Array, spacing: float, shape: tuple[int, int, int]) -> Array:
+    """Share (i, j, k) of each voxel of a grid that lies inside the surface."""
+    points = (surface.points @ rotation.T - origin) / spacing
+    return np.asarray(_shares(points, surface.triangles, shape[0], shape[1], shape[2], LINES))
+
+
+def _turn(quaternion: Array) -> Array:
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])
+
+
+def _descend(rotation: Array, value: Callable[[Array], float]) -> Array:
+    """Lower the value by small turns of a rotation."""
+
+    def turned(angles: Array) -> Array:
+        return _turn(np.concatenate(([1.0], angles))) @ rotation
+
+    simplex = np.vstack((np.zeros(3), 0.1 * np.eye(3)))
+    options = {"xatol": 1e-4, "fatol": 1e-9, "initial_simplex": simplex}
+    return turned(minimize(lambda angles: value(turned(angles)), np.zeros(3), method="Nelder-Mead", options=options).x)
+
+
+@njit(cache=True)
+def _shares(points, triangles, ni, nj, nk, lines):  # type: ignore[no-untyped-def]
+    """Every crossing of a line adds its sign times the part of the line beyond it; a running sum gives the shares."""
+    steps = np.zeros((ni + 2, nj, nk))
+    for t in range(len(triangles)):
+        a, b, c = points[triangles[t, 0]], points[triangles[t, 1]], points[triangles[t, 2]]
+        area = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
+        if area == 0.0:
+            continue
+        low_j = int(np.ceil(min(a[1], b[1], c[1]) * lines - 0.5))
+        high_j = int(np.floor(max(a[1], b[1], c[1]) * lines - 0.5))
+        low_k = int(np.ceil(min(a[2], b[2], c[2]) * lines - 0.5))
+        high_k = int(np.floor(max(a[2], b[2], c[2]) * lines - 0.5))
+        for j in range(max(low_j, 0), min(high_j, nj * lines - 1) + 1):
+            # The irrational shifts keep lines off vertices of regular triangulations.
+            y = (j + 0.5) / lines + 1.234567e-7
+            for k in range(max(low_k, 0), min(high_k, nk * lines - 1) + 1):
+                z = (k + 0.5) / lines + 2.718281e-7
+                s = ((y - a[1]) * (c[2] - a[2]) - (z - a[2]) * (c[1] - a[1])) / area
+                r = ((b[1] - a[1]) * (z - a[2]) - (b[2] - a[2]) * (y - a[1])) / area
+                if s < 0.0 or r < 0.0 or s + r > 1.0:
+                    continue
+                x = a[0] + s * (b[0] - a[0]) + r * (c[0] - a[0])
+                sign = -1.0 if area > 0.0 else 1.0
+                i = int(np.floor(x))
+                if i < 0:
+                    i, x = 0, 0.0
+                if i >= ni:
+                    continue
+                steps[i, j // lines, k // lines] += sign * (i + 1 - x)
+                steps[i + 1, j // lines, k // lines] += sign * (x - i)
+    result = np.zeros((ni, nj, nk))
+    total = np.zeros((nj, nk))
+    for i in range(ni):
+        total += steps[i]
+        result[i] = total
+    return result / lines**2
+
+
+def _smooth_points() -> Flags:
+    """(256,) whether the boundary is a manifold at a grid point with these voxels of the eight around it."""
+    return _connected_among_eight() & _connected_among_eight()[::-1]
+
+
+def _connected_among_eight() -> Flags:
+    result = np.ones(256, dtype=bool)
+    for pattern in range(256):
+        members = [v for v in range(8) if pattern >> v & 1]
+        if members:
+            reached, front = {members[0]}, [members[0]]
+            while front:
+                v = front.pop()
+                for bit in (1, 2, 4):
+                    if v ^ bit in members and v ^ bit not in reached:
+                        reached.add(v ^ bit)
+                        front.append(v ^ bit)
+            result[pattern] = len(reached) == len(members)
+    return result
+
+
+@njit(cache=True)
+def _topology(inside, smooth):  # type: ignore[no-untyped-def]
+    ni, nj, nk = inside.shape
+    pinched, points, faces = 0, 0, 0
+    for i in range(ni - 1):
+        for j in range(nj - 1):
+            for k in range(nk - 1):
+                pattern = 0
+                for v in range(8):
+                    if inside[i + (v >> 2), j + (v >> 1 & 1), k + (v & 1)]:
+                        pattern |= 1 << v
+                if 0 < pattern < 255:
+                    points += 1
+                    pinched += not smooth[pattern]
+                here = inside[i, j, k]
+                faces += here != inside[i + 1, j, k]
+                faces += here != inside[i, j + 1, k]
+                faces += here != inside[i, j, k + 1]
+    parts = np.zeros(2, dtype=np.int64)
+    seen = np.zeros(inside.shape, dtype=np.bool_)
+    stack = np.empty((inside.size, 3), dtype=np.int64)
+    for i in range(ni):
+        for j in range(nj):
+            for k in range(nk):
+                if seen[i, j, k]:
+                    continue
+                value = inside[i, j, k]
+                parts[1 if value else 0] += 1
+                seen[i, j, k] = True
+                stack[0] = i, j, k
+                top = 1
+                while top > 0:
+                    top -= 1
+                    a, b, c = stack[top]
+                    for axis in range(3):
+                        for step in (-1, 1):
+                            u = a + (step if axis == 0 else 0)
+                            v = b + (step if axis == 1 else 0)
+                            w = c + (step if axis == 2 else 0)
+                            if 0 <= u < ni and 0 <= v < nj and 0 <= w < nk and not seen[u, v, w] \
+                                    and inside[u, v, w] == value:
+                                seen[u, v, w] = True
+                                stack[top] = u, v, w
+                                top += 1
+    return pinched, parts[1], parts[0], 1 - (points - faces) // 2, faces
+
+
+@njit(cache=True)
+def _defects(inside, smooth, genus):  # type: ignore[no-untyped-def]
+    """How far a set is from being a solid of the given genus; 0 if it is one."""
+    pinched, parts, outsides, found, _ = _topology(inside, smooth)
+    return pinched + 2 * (parts - 1) + 2 * (outsides - 1) + abs(found - genus)
+
+
+@njit(cache=True)
+def _relax(inside, share, smooth, genus, weight):  # type: ignore[no-untyped-def]
+    """Mend the topology of the set in place by single voxels, then lower its energy.
+
+    Returns defects, energy without the faces' part, and faces.
+    """
+    ni, nj, nk = inside.shape
+    defects = _defects(inside, smooth, genus)
+    for _ in range(inside.size):
+        best, best_defects, where = np.inf, defects, (0, 0, 0)
+        for i in range(1, ni - 1):
+            for j in range(1, nj - 1):
+                for k in range(1, nk - 1):
+                    here = inside[i, j, k]
+                    alike = 0
+                    for axis in range(3):
+                        for step in (-1, 1):
+                            u = i + (step if axis == 0 else 0)
+                            v = j + (step if axis == 1 else 0)
+                            w = k + (step if axis == 2 else 0)
+                            alike += inside[u, v, w] == here
+                    if alike == 6:
+                        continue
+                    change = (2.0 * share[i, j, k] - 1.0) * (1.0 if here else -1.0) + weight * (2.0 * alike - 6.0)
+                    if defects == 0 and change >= min(best, -1e-9):
+                        continue
+                    inside[i, j, k] = not here
+                    now = _defects(inside, smooth, genus)
+                    inside[i, j, k] = here
+                    if defects == 0:
+                        better = now == 0
+                    else:
+                        better = now < best_defects or (now < defects and now == best_defects and change < best)
+                    if better:
+                        best, best_defects, where = change, now, (i, j, k)
+        if best == np.inf:
+            break
+        inside[where] = not inside[where]
+        defects = best_defects
+    energy = 0.0
+    for i in range(ni):
+        for j in range(nj):
+            for k in range(nk):
+                energy += 1.0 - share[i, j, k] if inside[i, j, k] else share[i, j, k]
+    return defects, energy, _topology(inside, smooth)[4]

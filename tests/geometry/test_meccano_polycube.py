@@ -1,0 +1,252 @@
+"""Polycubes with a solid's topology, and its surface divided as their boundary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geometry.meccano.blocks import polycube
+from geometry.meccano.boundary_map import on_surface
+from geometry.meccano.frame import frame_of
+from geometry.meccano.layout import borders, check, round_corners
+from geometry.meccano.mean_value import flipped
+from geometry.meccano.overlay import Curve, join, overlay, split, spread
+from geometry.meccano.polycube import polycube_layout, polycube_map
+from geometry.meccano.surface import Surface, area_vectors, euler_characteristic, genus, volume
+from geometry.meccano.surface_file import read_surface
+from geometry.meccano.voxels import cuboids, orientation, shares, topology, voxelise
+from iga.errors import InputError
+
+
+def torus(major: int = 36, minor: int = 18, radius: float = 0.4) -> Surface:
+    """A torus around the third axis, triangles along rows of quadrilaterals."""
+    u, v = np.meshgrid(2 * np.pi * np.arange(major) / major, 2 * np.pi * np.arange(minor) / minor, indexing="ij")
+    ring = 1 + radius * np.cos(v)
+    points = np.stack((ring * np.cos(u), ring * np.sin(u), radius * np.sin(v)), axis=-1).reshape(-1, 3)
+    a = np.arange(major * minor).reshape(major, minor)
+    b, c = np.roll(a, -1, axis=0), np.roll(a, -1, axis=1)
+    d = np.roll(b, -1, axis=1)
+    return Surface(points, np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, d), (a, d, c))]))
+
+
+RING = np.array([[[0, 0, 0], [3, 1, 1]], [[0, 2, 0], [3, 3, 1]], [[0, 0, 0], [1, 3, 1]], [[2, 0, 0], [3, 3, 1]]])
+
+
+def box(low: np.ndarray, high: np.ndarray) -> Surface:
+    unit = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return Surface(low + unit * (high - low), np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+
+
+def sphere(levels: int = 3) -> Surface:
+    """The octahedron, each triangle cut in four so many times."""
+    surface = Surface(
+        np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float),
+        np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]),
+    )
+    for _ in range(levels):
+        middle = surface.points[surface.edges].sum(axis=1)
+        a, b, c = surface.triangles.T
+        p, q, r = (len(surface.points) + surface.edge_of).T
+        cut = ((a, p, r), (p, b, q), (r, q, c), (p, q, r))
+        points = np.concatenate((surface.points, middle))
+        surface = Surface(
+            points / np.linalg.norm(points, axis=1)[:, None], np.concatenate([np.stack(t, axis=1) for t in cut])
+        )
+    return surface
+
+
+def ring(holes: int) -> np.ndarray:
+    """A bar of voxels with holes through it."""
+    inside = np.ones((2 * holes + 1, 3, 1), dtype=bool)
+    inside[1::2, 1] = False
+    return inside
+
+
+@pytest.mark.parametrize("holes", [0, 1, 2, 5])
+def test_topology_counts_holes(holes: int) -> None:
+    found = topology(ring(holes))
+    assert (found.pinched, found.parts, found.outsides, found.genus) == (0, 1, 1, holes)
+    assert found.faces == len(polycube(np.argwhere(ring(holes))).boundary_sides)
+
+
+def test_topology_sees_pinches_parts_and_cavities() -> None:
+    edge = np.zeros((2, 2, 1), dtype=bool)
+    edge[0, 0] = edge[1, 1] = True
+    assert topology(edge).pinched == 2
+    corner = np.zeros((2, 2, 2), dtype=bool)
+    corner[0, 0, 0] = corner[1, 1, 1] = True
+    assert topology(corner).pinched == 1
+    assert topology(corner).parts == 2
+    hollow = np.ones((3, 3, 3), dtype=bool)
+    hollow[1, 1, 1] = False
+    assert topology(hollow).outsides == 2
+
+
+@given(st.lists(st.booleans(), min_size=27, max_size=27))
+@settings(max_examples=60, deadline=None)
+def test_topology_agrees_with_the_blocks(bits: list[bool]) -> None:
+    inside = np.array(bits).reshape(3, 3, 3)
+    found = topology(inside)
+    try:
+        frame = frame_of(polycube(np.argwhere(inside)))
+    except InputError:
+        assert found.pinched > 0 or found.parts != 1
+    else:
+        assert (found.pinched, found.parts) == (0, 1)
+        assert found.faces == len(frame.sides)
+        if found.outsides == 1:
+            assert found.genus == frame.genus
+
+
+def test_shares_of_a_box_are_exact() -> None:
+    # Sides across the first axis anywhere, the others half-way between lines.
+    low, high = np.array([0.7123, 1.0, 1 + 1 / 6]), np.array([3.2, 2.5, 3.0])
+    found = shares(box(low, high), np.eye(3), np.zeros(3), 1.0, (5, 4, 4))
+    cells = np.stack(np.meshgrid(*(np.arange(n) for n in (5, 4, 4)), indexing="ij"), axis=-1)
+    exact = np.clip(np.minimum(cells + 1, high) - np.maximum(cells, low), 0, None).prod(axis=-1)
+    assert np.abs(found - exact).max() < 1e-12
+
+
+def test_shares_add_up_to_the_volume() -> None:
+    surface = torus()
+    rotation, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    errors = []
+    for n in (17, 34, 68):
+        found = shares(surface, rotation, np.full(3, -1.7), 3.4 / n, (n, n, n))
+        assert found.min() > -1e-12
+        assert found.max() < 1 + 1e-12
+        errors.append(abs(found.sum() * (3.4 / n) ** 3 / volume(surface) - 1))
+    assert errors[0] < 1e-3
+    assert errors[-1] < 5e-5
+
+
+def test_orientation_finds_the_axes_of_a_turned_box() -> None:
+    surface = box(np.zeros(3), np.array([3.0, 2.0, 1.0]))
+    turn, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    turn *= np.linalg.det(turn)
+    found = orientation(Surface(surface.points @ turn.T, surface.triangles))
+    assert np.abs(np.abs(found @ turn) - np.eye(3)).max() < 1e-3
+
+
+def test_overlay_keeps_the_surface() -> None:
+    surface = torus(8, 6)
+    # Two curves leave vertex 0 through the same edge and part in the next triangle.
+    edge = {tuple(ends): k for k, ends in enumerate(surface.edges.tolist())}
+    one = Curve(0, 13, np.array([edge[6, 7]]), np.array([0.3]))
+    two = Curve(0, 14, np.array([edge[6, 7], edge[7, 13]]), np.array([0.6, 0.4]))
+    curves = join([one, two])
+    cut = overlay(surface, spread(curves))
+    assert len(cut.triangles) == len(surface.triangles) + 2 * len(curves.edge)
+    made = Surface(cut.points, cut.triangles)
+    assert euler_characteristic(made) == euler_characteristic(surface)
+    areas = np.linalg.norm(area_vectors(made), axis=1)
+    assert abs(areas.sum() / np.linalg.norm(area_vectors(surface), axis=1).sum() - 1) < 1e-12
+    assert areas.min() > 1e-4 * areas.mean()
+    # A curve is a chain of as many sides as it has crossings, and one more; each belongs to two triangles.
+    assert np.bincount(cut.curve[cut.curve >= 0]).tolist() == [2 * (len(c.edge) + 1) for c in split(curves)]
+    with pytest.raises(ValueError, match="cross"):
+        overlay(surface, join([one, Curve(6, 1, np.array([edge[0, 7]]), np.array([0.5]))]))
+
+
+@pytest.fixture(scope="module")
+def ring_layout():
+    return polycube_layout(torus(), sweeps=4)
+
+
+def test_a_torus_becomes_a_ring_of_eight_voxels(ring_layout) -> None:
+    layout, report = ring_layout
+    assert report["voxels"] == 8
+    assert report["boundary_sides"] == 32
+    assert frame_of(layout.blocks).genus == 1
+
+
+def test_patches_are_disks_beside_each_other_as_the_sides(ring_layout) -> None:
+    layout, _ = ring_layout
+    check(layout)
+    assert genus(layout.surface) == 1
+    # Around a corner the borders follow each other as in the meccano: every corner of a patch is one of its side.
+    rows = round_corners(layout.blocks)
+    for f in range(len(rows)):
+        corners = np.intersect1d(layout.corner, layout.surface.triangles[layout.side == f])
+        assert set(corners) == set(layout.corner[rows[f]])
+    assert len(borders(layout.blocks)) == 2 * len(rows)
+    assert abs(volume(layout.surface) / volume(torus()) - 1) < 1e-12
+
+
+def test_patches_of_a_torus_are_even(ring_layout) -> None:
+    _, report = ring_layout
+    # Outside and inside of this torus differ in length by 1.4 / 0.6; corners of the ring take two sides.
+    assert report["smallest_patch"] > 0.35
+    assert report["largest_patch"] < 2.2
+    assert report["border_ratio"] < 5
+
+
+def test_the_map_is_one_to_one_and_continuous() -> None:
+    mapping, report = polycube_map(torus(24, 12), cuboids(torus(), RING), sweeps=1)
+    assert report["smallest_patch"] > 0.1
+    assert len(flipped(mapping.parameters)) == 0
+    plane = mapping.parameters
+    u, v = plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 0]
+    areas = np.bincount(mapping.side, (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2)
+    assert np.abs(areas - 1).max() < 1e-12
+    # Both sides of every edge give the same points of the surface.
+    rows = round_corners(mapping.blocks).tolist()
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
+    t = np.linspace(0, 1, 7)[:, None]
+    for a, b, f, g in borders(mapping.blocks):
+        points = []
+        for side in (f, g):
+            start, end = square[rows[side].index(a)], square[rows[side].index(b)]
+            points.append(on_surface(mapping, np.full(7, side), start + t * (end - start))[0])
+        assert np.abs(points[0] - points[1]).max() < 1e-12
+
+
+def test_a_cube_and_cuboids_may_be_given() -> None:
+    surface = sphere()
+    layout, report = polycube_layout(surface, cuboids(surface, np.array([[[0, 0, 0], [1, 1, 1]]])), sweeps=3)
+    check(layout)
+    # The sphere and the cube have the same symmetry.
+    assert report["smallest_patch"] > 0.8
+    corner = cuboids(surface, np.array([[[0, 0, 0], [2, 1, 1]], [[0, 1, 0], [1, 2, 1]]]))
+    layout, _ = polycube_layout(surface, corner, sweeps=1)
+    check(layout)
+    assert len(layout.blocks.corners) == 3
+
+
+def test_other_topology_is_refused() -> None:
+    surface = torus(12, 8)
+    with pytest.raises(InputError, match="genus 0, but the surface has genus 1"):
+        cuboids(surface, np.array([[[0, 0, 0], [2, 2, 1]]]))
+    with pytest.raises(InputError, match="2 parts"):
+        cuboids(surface, np.array([[[0, 0, 0], [1, 1, 1]], [[2, 0, 0], [3, 1, 1]]]))
+    with pytest.raises(InputError, match="touch themselves"):
+        cuboids(surface, np.array([[[0, 0, 0], [1, 1, 1]], [[1, 1, 0], [2, 2, 1]], [[0, 0, 1], [2, 2, 2]]]))
+    with pytest.raises(InputError, match="cuboid 0 from"):
+        cuboids(surface, np.array([[[0, 0, 0], [0, 1, 1]]]))
+    with pytest.raises(InputError, match="genus 0, but the surface has genus 1"):
+        polycube_layout(surface, cuboids(sphere(1), np.array([[[0, 0, 0], [1, 1, 1]]])))
+    with pytest.raises(InputError, match="no set of voxels has the surface's genus 1"):
+        voxelise(surface, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "handles"),
+    [
+        ("bob_small.ply", 1),
+        pytest.param("kitten.off", 1, marks=pytest.mark.long),
+        pytest.param("eight.off", 2, marks=pytest.mark.long),
+        pytest.param("fertility.off", 4, marks=pytest.mark.long),
+    ],
+)
+def test_real_models(data: Path, name: str, handles: int) -> None:
+    surface, _ = read_surface(data / "surface" / name)
+    layout, report = polycube_layout(surface)
+    check(layout)
+    assert genus(layout.surface) == handles
+    assert frame_of(layout.blocks).genus == handles
+    assert report["smallest_patch"] > 0.1
