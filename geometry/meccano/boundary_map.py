@@ -32,6 +32,8 @@ Index = NDArray[np.int64]
 
 #: Border parameters are multiples of this.
 GRAIN = 2.0**-45
+#: Most rounds of reweighting.
+ROUNDS = 8
 #: Query points may lie outside all triangles of their side by this much, in barycentric coordinates.
 OUTSIDE = 1e-7
 
@@ -199,13 +201,16 @@ def _find(
     return best, least
 
 
-def boundary_map(layout: Layout, rounds: int = 0, progress: Progress = QUIET) -> tuple[BoundaryMap, dict[str, Any]]:
+def boundary_map(
+    layout: Layout, limit: float = 1000.0, progress: Progress = QUIET
+) -> tuple[BoundaryMap, dict[str, Any]]:
     """Lay every patch of a division of a surface on its side of the meccano.
 
     Parameters
     ----------
     layout : the division, of any meccano.
-    rounds : most rounds of reweighting against stretch in every patch, see `mean_value`.
+    limit : area on the surface per area on the side, relative to the patch's, beyond which limbs are widened at the
+        cost of angles (see `mean_value`); an octree needs half its binary logarithm of levels more there.
 
     Returns
     -------
@@ -226,8 +231,8 @@ def boundary_map(layout: Layout, rounds: int = 0, progress: Progress = QUIET) ->
         loop, marks = patch_loop(layout, f)
         targets = _square(surface.points, loop, marks, rows[f])
         local = surface.triangles[inside]
-        for tries in (rounds, 0) if rounds else (0,):
-            placed = mean_value(surface.points, local, loop, targets, tries)[local]
+        for rounds in (ROUNDS, 0):
+            placed = mean_value(surface.points, local, loop, targets, rounds, limit)[local]
             bad = flipped(placed)
             if not len(bad):
                 break

@@ -9,8 +9,8 @@ Positive weights and a convex polygon make the map one to one, if no inner edge 
 polygon (`paths.without_chords` splits those).
 
 Long limbs shrink exponentially in such a map. Rounds of reweighting [S. Yoshizawa, A. Belyaev, H.-P. Seidel, A fast
-and simple stretch-minimizing mesh parameterization, SMI 2004] divide w_ij by the stretch at j, the root mean square
-of the singular values of plane -> surface around it, which widens what is too small; weights stay positive.
+and simple stretch-minimizing mesh parameterization, SMI 2004] divide w_ij by a power of the stretch at j, the root mean
+square of the singular values of plane -> surface around it, which widens what is too small; weights stay positive.
 
 Axis letters: v vertex, t triangle, b boundary vertex.
 """
@@ -29,8 +29,15 @@ from iga.errors import InputError
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+#: Power of the stretch in one round; whole powers overshoot, and give up angles for areas.
+DAMPING = 0.5
+#: Share of a patch's area that may stretch more than the limit.
+EXCEPTION = 1e-3
 
-def mean_value(points: Array, triangles: Index, loop: Index, targets: Array, rounds: int = 0) -> Array:
+
+def mean_value(
+    points: Array, triangles: Index, loop: Index, targets: Array, rounds: int = 0, limit: float = 1.0
+) -> Array:
     """Places (v, 2) of all vertices in the plane.
 
     Parameters
@@ -38,7 +45,9 @@ def mean_value(points: Array, triangles: Index, loop: Index, targets: Array, rou
     points, triangles : (v, 3) and (t, 3), a disk; vertices in no triangle get (nan, nan).
     loop : (b,) its boundary vertices.
     targets : (b, 2) their places on a convex polygon.
-    rounds : most rounds of reweighting against stretch; the best one in the root mean square sense is kept.
+    rounds : most rounds of reweighting against stretch. They end when the root mean square of the stretch grows.
+    limit : they also end when the area in space per area in the plane, relative to the whole disk's, exceeds this
+        on a thousandth of the disk only: angles are better the fewer rounds there are.
 
     Raises
     ------
@@ -66,12 +75,13 @@ def mean_value(points: Array, triangles: Index, loop: Index, targets: Array, rou
         if not total < least:
             break
         best, least = trial, total
+        if _exceeds(areas, signed_areas(trial[triangles]), limit) <= EXCEPTION:
+            break
         if k < rounds:
             share = np.bincount(triangles.ravel(), np.repeat(areas, 3), len(points))
             stretch = np.bincount(triangles.ravel(), np.repeat(areas * squares, 3), len(points))
             stretch = np.sqrt(stretch / np.where(share > 0, share, 1.0))
-            # Only ratios matter; damping keeps rounds from overshooting where triangles are nearly lost.
-            weight = weight / stretch[head]
+            weight = weight / stretch[head] ** DAMPING
     return best
 
 
@@ -106,6 +116,12 @@ def _solve(row: Index, tail: Index, head: Index, weight: Array, places: Array, s
         return np.asarray(factors.solve(right))
     except RuntimeError:
         raise InputError("a patch of the surface is no disk: its parametrisation has no unique solution") from None
+
+
+def _exceeds(space: Array, plane: Array, limit: float) -> float:
+    """Share of the area in space that is stretched beyond the limit."""
+    much = space * plane.sum() > limit * plane * space.sum()
+    return float(space[much].sum() / space.sum())
 
 
 def _areas(corners: Array) -> Array:

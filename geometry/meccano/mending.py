@@ -35,15 +35,15 @@ def mended(points: Array, triangles: Index) -> tuple[Array, Index, dict[str, Any
     clean = mesh.clean(tolerance=SAME * diagonal, absolute=True, lines_to_points=False, polys_to_lines=False)
     clean = _triangles_only(clean)
     before = clean.n_faces_strict
+    if not before:
+        raise InputError("nothing is left of the surface after mending")
     closed = clean.fill_holes(LARGEST_HOLE * diagonal).triangulate()
     filled = closed.n_faces_strict - before
     whole = closed.compute_normals(
-        cell_normals=True, point_normals=False, consistent_normals=True, auto_orient_normals=True, splitting=False,
+        cell_normals=True, point_normals=False, consistent_normals=True, auto_orient_normals=True, split_vertices=False,
         non_manifold_traversal=False,
     )
     whole = _triangles_only(whole)
-    if not whole.n_faces_strict:
-        raise InputError("nothing is left of the surface after mending")
     done = {
         "merged_vertices": max(len(points) - clean.n_points, 0),
         "removed_triangles": len(triangles) - before,
@@ -58,6 +58,7 @@ def _triangles_only(mesh: Any) -> Any:
     import pyvista
 
     table = np.asarray(mesh.regular_faces if mesh.is_all_triangles else mesh.triangulate().regular_faces)
+    table = table.reshape(-1, 3)
     table = table[(table != np.roll(table, 1, axis=1)).all(axis=1)]
     first = np.sort(np.unique(np.sort(table, axis=1), axis=0, return_index=True)[1])
     return pyvista.PolyData.from_regular_faces(mesh.points, table[first])

@@ -39,6 +39,8 @@ Index = NDArray[np.int64]
 
 #: Coarser surfaces are refined first, so that there are vertices and edges enough to choose from.
 LEAST_TRIANGLES = 3000
+#: Rounds of reweighting in the steps that move corners and borders; without any, limbs draw patches together.
+REWEIGHTING = 2
 
 
 def partition(
@@ -73,11 +75,11 @@ def partition(
     for _ in progress.track(range(rounds), "patches"):
         if corners is None:
             for n in range(8):
-                layout = centre_corner(layout, n)
+                layout = centre_corner(layout, n, REWEIGHTING)
         for border in order:
-            layout = straighten_border(layout, border, cut=False)
+            layout = straighten_border(layout, border, cut=False, rounds=REWEIGHTING)
     for border in progress.track(order, "borders"):
-        layout = straighten_border(layout, border, cut=True)
+        layout = straighten_border(layout, border, cut=True, rounds=REWEIGHTING)
     check(layout)
     return layout
 

@@ -170,7 +170,7 @@ def trace(
     if avoid is not None:
         blocked[avoid] = True
     blocked[[start, end]] = True
-    open_edges = inside[surface.beside].any(axis=1) & ~wall
+    open_edges = _either(inside, surface) & ~wall
     chords = np.flatnonzero(open_edges & blocked[surface.edges].all(axis=1))
     # The edge between start and end is itself a path.
     direct = (surface.edges[chords] == np.sort([start, end])).all(axis=1)
@@ -183,7 +183,7 @@ def trace(
     blocked[[start, end]] = False
     inside = inside[origin]
     # The ends may not be short cuts into another region: only edges of the region itself count.
-    usable = inside[surface.beside].any(axis=1) & ~blocked[surface.edges].any(axis=1)
+    usable = _either(inside, surface) & ~blocked[surface.edges].any(axis=1)
     usable &= ~(_rim_of_walls(surface, inside))
     ends = surface.edges[usable]
     length = np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=1) + 1e-300
@@ -198,9 +198,17 @@ def trace(
     return Path(surface, np.array(vertices[::-1], dtype=np.int64), origin)
 
 
+def _either(inside: Mask, surface: Surface) -> Mask:
+    return np.asarray(inside[surface.beside[:, 0]] | inside[surface.beside[:, 1]])
+
+
+def _both(inside: Mask, surface: Surface) -> Mask:
+    return np.asarray(inside[surface.beside[:, 0]] & inside[surface.beside[:, 1]])
+
+
 def _rim_of_walls(surface: Surface, inside: Mask) -> Mask:
     """Edges whose two sides are not both in the region."""
-    return np.asarray(~inside[surface.beside].all(axis=1))
+    return np.asarray(~_both(inside, surface))
 
 
 def _keys(surface: Surface, ends: Index) -> Index:

@@ -97,16 +97,18 @@ def area_vectors(surface: Surface) -> Array:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0
 
 
-def checked_surface(points: Array, triangles: Index) -> tuple[Surface, dict[str, Any]]:
+def checked_surface(points: Array, triangles: Index, crossings: bool = False) -> tuple[Surface, dict[str, Any]]:
     """The surface, turned outwards and without unused vertices, and what was done to it.
 
     Parameters
     ----------
     points, triangles : (v, 3) and (t, 3), as read.
+    crossings : report triangles that cross each other instead of refusing them.
 
     Returns
     -------
-    The surface and a report: vertices, triangles, genus, volume, and ``turned`` and ``unused_vertices`` if any.
+    The surface and a report: vertices, triangles, genus, volume, and ``turned``, ``unused_vertices`` and
+    ``crossing_pairs`` if any.
 
     Raises
     ------
@@ -133,7 +135,9 @@ def checked_surface(points: Array, triangles: Index) -> tuple[Surface, dict[str,
         surface = Surface(surface.points, np.ascontiguousarray(surface.triangles[:, ::-1]))
         report["turned"] = "the triangles faced inwards and were turned round"
     crossing = first_crossing(surface.points, surface.triangles)
-    if crossing is not None:
+    if crossing is not None and crossings:
+        report["crossing_pairs"] = crossing[2]
+    elif crossing is not None:
         raise InputError(
             f"triangles {crossing[0]} and {crossing[1]} cross each other ({crossing[2]} such pairs in all); "
             "give a surface that does not intersect itself"

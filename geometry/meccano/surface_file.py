@@ -36,6 +36,16 @@ ENDINGS = (".stl", ".obj", ".off", ".ply")
 ROUNDING = 4 * 2.0**-23
 
 
+class _Ending(io.BytesIO):
+    """Bytes that say when they are over; meshio's reader of PLY waits for ever."""
+
+    def readline(self, size: int | None = -1, /) -> bytes:
+        line = super().readline(size)
+        if not line:
+            raise EOFError("the file ends too early")
+        return line
+
+
 def reads(path: str | Path) -> bool:
     """Whether the file looks like a surface triangulation, by its ending and its first bytes."""
     path = Path(path)
@@ -56,13 +66,16 @@ def reads(path: str | Path) -> bool:
     return any(line.split()[:1] in ([b"v"], [b"f"]) for line in begin.splitlines() if line.strip())
 
 
-def read_surface(path: str | Path, mend: bool = False) -> tuple[Surface, dict[str, Any]]:
+def read_surface(
+    path: str | Path, mend: bool = False, crossings: bool = False
+) -> tuple[Surface, dict[str, Any]]:
     """Read and check a surface.
 
     Parameters
     ----------
     path : an STL, OBJ, OFF or PLY file.
     mend : repair small defects (see `mending`) instead of refusing them.
+    crossings : report triangles that cross each other instead of refusing them.
 
     Returns
     -------
@@ -77,12 +90,15 @@ def read_surface(path: str | Path, mend: bool = False) -> tuple[Surface, dict[st
     points, triangles, report = _raw(path)
     try:
         require_numbers(points, triangles)
+        separate = path.suffix.lower() == ".stl"
+        if separate:
+            points, triangles = _equal_points(points, triangles)
         if mend:
             points, triangles, done = mended(points, triangles)
             report |= done
-        elif path.suffix.lower() == ".stl":
-            points, triangles = _split_fans(*_equal_points(points, triangles))
-        surface, found = checked_surface(points, triangles)
+        if mend or separate:
+            points, triangles = _split_fans(points, triangles)
+        surface, found = checked_surface(points, triangles, crossings)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return surface, report | found
@@ -148,11 +164,37 @@ def _load(path: Path) -> meshio.Mesh:
             warnings.filterwarnings("error", message=".*could not be read to its end.*")
             if path.suffix.lower() == ".obj":
                 return meshio.read(_geometry_lines(path), file_format="obj")
-            return meshio.read(path, file_format=path.suffix.lower()[1:])
+            if path.suffix.lower() == ".off":
+                return _read_off(path)
+            if path.suffix.lower() == ".ply":
+                return meshio.read(_Ending(path.read_bytes()), file_format="ply")
+            return meshio.read(path, file_format="stl")
     except (Exception, SystemExit) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         text = f"cannot be read as a surface; it may be truncated or of another format ({reason})"
         raise FormatError(f"{path}: {text[:240]}") from None
+
+
+def _read_off(path: Path) -> meshio.Mesh:
+    """Mesh of an OFF file; meshio never ends on short ones and knows triangles only."""
+    lines = [line.split("#")[0].split() for line in path.read_text(encoding="ascii").splitlines()]
+    lines = [line for line in lines if line]
+    if not lines or lines[0][0] != "OFF":
+        raise ValueError("the first word is not OFF")
+    lines[0] = lines[0][1:]
+    lines = lines[0 if lines[0] else 1 :]
+    count, faces = int(lines[0][0]), int(lines[0][1])
+    if min(count, faces) < 0 or len(lines) < 1 + count + faces:
+        raise ValueError(f"{count} vertices and {faces} faces are announced, {len(lines) - 1} lines follow")
+    points = np.array([[float(word) for word in line[:3]] for line in lines[1 : 1 + count]]).reshape(-1, 3)
+    table: dict[int, list[list[int]]] = {3: [], 4: []}
+    for line in lines[1 + count : 1 + count + faces]:
+        size = int(line[0])
+        if size not in table or len(line) < 1 + size:
+            raise ValueError(f"a face has {size} vertices; triangles and quadrilaterals are taken")
+        table[size].append([int(word) for word in line[1 : 1 + size]])
+    kinds = {3: "triangle", 4: "quad"}
+    return meshio.Mesh(points, [(kinds[size], np.array(rows)) for size, rows in table.items() if rows])
 
 
 def _geometry_lines(path: Path) -> io.StringIO:
