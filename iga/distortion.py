@@ -1,10 +1,10 @@
 r"""Distortion of the elements of a domain, as an energy of its control points with its gradient.
 
-    E(P) = sum_e v_e mean_q eta(J_e(xi_q) T_e^-1)^p
+    E(P) = sum_e v_e mean_q (eta(J_e(xi_q) T_e^-1)^p + size g(J_e(xi_q) T_e^-1))
 
-with the regularised mean ratio eta (`iga.kernels.distortion`) at sample points xi_q of every element, the Jacobian
-matrices T_e of the ideal elements and weights v_e. Gradients go back through the extraction by its transpose, so they
-are exact for any domain, rational or not.
+with the regularised mean ratio eta and the measure of size g (`iga.kernels.distortion`) at sample points xi_q of every
+element, the Jacobian matrices T_e of the ideal elements and weights v_e. Gradients go back through the extraction by
+its transpose, so they are exact for any domain, rational or not.
 
 Axis letters: e element, q sample point, n function, b Bernstein function, c component, d reference dimension, s channel
 (the three derivatives, for rational maps the value before them).
@@ -128,7 +128,7 @@ def tables_at(basis: LocalBasis, points: Array, rational: bool) -> Array:
 
 
 def evaluate(
-    batches: Sequence[Batch], values: Array, delta: Array, power: float
+    batches: Sequence[Batch], values: Array, delta: Array, power: float, size: float = 0.0
 ) -> tuple[float, Array, list[Array], list[Array]]:
     """Energy of batches and its gradient.
 
@@ -137,6 +137,7 @@ def evaluate(
     values : (n, 3) control points, or (n, 4) homogeneous ones (w x, w) of rational maps.
     delta : (g,) regularisation of each group of elements.
     power : p.
+    size : factor of the measure of size.
 
     Returns
     -------
@@ -154,7 +155,7 @@ def evaluate(
             low, high = max(first - start, 0), min(last - start, batch.block.elements)
             for a in range(low, high, CHUNK):
                 own = slice(a, min(a + CHUNK, high))
-                _chunk(batch, own, values, delta, power, gradient, energies[k][own], least[k][own])
+                _chunk(batch, own, values, delta, power, size, gradient, energies[k][own], least[k][own])
             start += batch.block.elements
 
     run([partial(work, a, b, g) for (a, b), g in zip(parts, gradients)])
@@ -162,7 +163,8 @@ def evaluate(
 
 
 def _chunk(
-    batch: Batch, own: slice, values: Array, delta: Array, power: float, gradient: Array, energy: Array, least: Array
+    batch: Batch, own: slice, values: Array, delta: Array, power: float, size: float, gradient: Array, energy: Array,
+    least: Array,
 ) -> None:
     block, shared = batch.block, batch.table.ndim == 2
     dofs, extraction = block.dofs[own], block.extraction
@@ -181,7 +183,8 @@ def _chunk(
     if rational:
         kernel.divide(J)
     kernel.distortion(
-        J, batch.channels - 3, batch.inverse[own], delta[batch.group[own]], power, batch.weight[own], D, energy, least
+        J, batch.channels - 3, batch.inverse[own], delta[batch.group[own]], power, size, batch.weight[own], D,
+        energy, least,
     )
     if rational:
         kernel.undivide(J, D)

@@ -74,6 +74,7 @@ def untangle(
     iterations: int = 60,
     samples: int = 3,
     power: float = 2.0,
+    size: float = 0.0,
     patience: int = 4,
     depth: int = 6,
     shown: Progress = QUIET,
@@ -89,13 +90,15 @@ def untangle(
     iterations : most descent steps for each value of delta.
     samples : sample points along each edge of an element.
     power : p of the mean ratio.
+    size : factor of a measure of size. Where much is folded at the start, the mean ratio alone may find it cheaper to
+        let elements shrink to nothing; the ideal elements should then have the right sizes too.
     depth : depth of the certificates.
 
     Raises
     ------
     InputError : arrays do not fit the domain.
     """
-    task = _Task(domain, free, shapes, samples, power)
+    task = _Task(domain, free, shapes, samples, power, size)
     points = domain.points.copy()
     invalid, worst = task.check(points, np.arange(task.elements), depth)
     history = [Round(len(invalid), 0, task.elements, np.nan)]
@@ -171,7 +174,7 @@ class _Task:
     """A domain with what may move in it."""
 
     def __init__(
-        self, domain: Domain, free: Mask, shapes: Sequence[Array] | None, samples: int, power: float
+        self, domain: Domain, free: Mask, shapes: Sequence[Array] | None, samples: int, power: float, size: float = 0.0
     ) -> None:
         space = domain.space
         if free.shape != (space.n,) or free.dtype != np.bool_:
@@ -180,7 +183,7 @@ class _Task:
         wanted = [(b.elements, 3, 3) for b in space.blocks]
         if [s.shape for s in shapes] != wanted:
             raise InputError(f"ideal shapes must be arrays {wanted}, not {[s.shape for s in shapes]}")
-        self.domain, self.samples, self.power = domain, samples, power
+        self.domain, self.samples, self.power, self.size = domain, samples, power, size
         self.inverse = [np.linalg.inv(s) for s in shapes]
         self.offsets = np.concatenate([[0], np.cumsum([b.elements for b in space.blocks])]).astype(np.int64)
         self.elements = int(self.offsets[-1])
@@ -189,14 +192,14 @@ class _Task:
         held = abs(self.moves).T @ (~free).astype(float) > 0.0
         self.columns = self.moves.shape[1]
         self.open: Mask = ~held
-        size = np.concatenate([np.cbrt(np.abs(np.linalg.det(s))) for s in shapes] or [np.empty(0)])
+        lengths = np.concatenate([np.cbrt(np.abs(np.linalg.det(s))) for s in shapes] or [np.empty(0)])
         incidence = _incidence(space, self.elements)
         # Elements by the columns that move them, and the size of the smallest element that a column moves.
         self.around: csr_array = csr_array(abs(incidence @ abs(self.moves)))
         self.around.data[:] = 1.0
         self.scale = np.full(self.columns, np.inf)
         coo = self.around.tocoo()
-        np.minimum.at(self.scale, coo.coords[1], size[coo.coords[0]])
+        np.minimum.at(self.scale, coo.coords[1], lengths[coo.coords[0]])
         self.scale[~np.isfinite(self.scale)] = 1.0
         self.extras: list[tuple[Index, Array]] = []
 
@@ -277,7 +280,7 @@ class _Task:
 
         def energy(z: Array) -> tuple[float, Array]:
             values[:, :3] = base[:, :3] + moves @ z.reshape(-1, 3)
-            value, gradient, _, _ = evaluate(batches, values, delta, self.power)
+            value, gradient, _, _ = evaluate(batches, values, delta, self.power, self.size)
             return value, (back @ gradient).ravel()
 
         def lowest(z: Array) -> Array:

@@ -67,7 +67,7 @@ def _pierces(points, p, q, triangle):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _cut(points, s, t):  # type: ignore[no-untyped-def]
-    for k in range(3):
+    for k in range(3):  # noqa: SIM110
         if _pierces(points, s[k], s[(k + 1) % 3], t) or _pierces(points, t[k], t[(k + 1) % 3], s):
             return True
     return False

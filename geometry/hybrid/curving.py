@@ -5,13 +5,16 @@ straight coefficients) is the discrete solution of
 
     int k grad u . grad v = 0 inside,      u given on the skin,
 
-and then the distortion of all elements is lowered, inner points free, until each is certified (`iga.untangling`).
+and then the distortion of all elements is lowered, inner points free, until each is certified (`iga.untangling`). The
+ideal elements have the volumes of the straight ones, and size counts as well as shape: where many elements are folded
+at the start, shape alone is cheapest for elements that shrink to nothing.
 
 Axis letters: b Bernstein function, e element, c component.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,16 +22,20 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from iga.assembly import matrix
+from iga.chunk import chunks
+from iga.distortion import own_shapes
 from iga.domain import Domain
 from iga.integrands import Diffusion
 from iga.linear.factorization import factorize
 from iga.progress import QUIET, Progress
-from iga.untangling import untangle
+from iga.untangling import Untangled, untangle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+SIZE = 1.0
+"""Weight of size against shape."""
 SMALLEST = 1.0 / 8.0
 """Smallest step of the displacement."""
 
@@ -64,6 +71,26 @@ def spread(domain: Domain, fixed: Mask, displacement: Array) -> Array:
     return result
 
 
+def sized_shapes(domain: Domain) -> tuple[Array, ...]:
+    """Jacobian matrices (e, 3, 3) of ideal elements for each block with the volumes of a valid domain's elements."""
+    made = []
+    volumes = [np.zeros(block.elements) for block in domain.space.blocks]
+    for chunk in chunks(domain, 2):
+        volumes[chunk.block][chunk.elements] = np.abs(chunk.dx).sum(axis=1)
+    for block, shapes, volume in zip(domain.space.blocks, own_shapes(domain), volumes):
+        wanted = volume / block.basis.cell.volume
+        made.append(shapes * np.cbrt(wanted / np.linalg.det(shapes))[:, None, None])
+    return tuple(made)
+
+
+def unfold(
+    domain: Domain, free: Mask, shapes: Sequence[Array], rounds: int = 12, shown: Progress = QUIET
+) -> Untangled:
+    """Move free control points until all elements are certified, by shape and size."""
+    samples = max(max(block.basis.degree) for block in domain.space.blocks) + 2
+    return untangle(domain, free, shapes, rounds=rounds, samples=samples, size=SIZE, shown=shown)
+
+
 def curve(straight: Domain, fixed: Mask, target: Array, rounds: int = 12, shown: Progress = QUIET) -> Curved:
     """Control points of a solid with a curved skin.
 
@@ -78,13 +105,14 @@ def curve(straight: Domain, fixed: Mask, target: Array, rounds: int = 12, shown:
     """
     shift = spread(straight, fixed, target - straight.points)
     points, done, step, steps = straight.points, 0.0, 1.0, 0
+    shapes = sized_shapes(straight)
     best: Curved | None = None
     while True:
         moved = points + step * shift
         if done + step == 1.0:
             moved[fixed] = target[fixed]
         steps += 1
-        made = untangle(replace(straight, points=moved), ~fixed, rounds=rounds, shown=shown)
+        made = unfold(replace(straight, points=moved), ~fixed, shapes, rounds, shown)
         whole = done + step == 1.0
         if whole and (best is None or len(made.invalid) < len(best.invalid)):
             best = Curved(made.points, made.invalid, steps)

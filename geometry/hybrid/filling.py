@@ -104,8 +104,8 @@ def _run(name: str, points: Array, triangles: Index, limit: float, grading: floa
         root = str(Path(__file__).resolve().parents[2])
         try:
             done = subprocess.run(
-                [sys.executable, "-m", "geometry.hybrid.fillers", name, str(source), str(target)], cwd=root, timeout=limit, capture_output=True,
-                text=True, check=False,
+                [sys.executable, "-m", "geometry.hybrid.fillers", name, str(source), str(target)],
+                cwd=root, timeout=limit, capture_output=True, text=True, check=False,
             )
         except subprocess.TimeoutExpired:
             return f"did not finish in {limit:g} seconds"

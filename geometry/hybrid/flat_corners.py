@@ -68,7 +68,7 @@ def tangents_of(skin: Skin) -> Tangents:
                 pairs.append(corners[:, [here, end]])
             along += both
             vertex.append(corners[:, here])
-            normal.append(_unit(np.cross(*both)))
+            normal.append(_unit(np.cross(both[0], both[1])))
     edges, where = np.unique(np.concatenate(pairs), axis=0, return_index=True)
     at = np.concatenate(vertex)
     order = np.argsort(at, kind="stable")

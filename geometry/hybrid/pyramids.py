@@ -84,8 +84,10 @@ def apexes(vertices: Array, quads: Index, triangles: Index) -> tuple[Array, Arra
 
 
 def lateral_triangles(quads: Index, top: Index) -> Index:
-    """Lateral faces of pyramids (4 q, 3) turned away from them, those of one pyramid together: seen from the rest of
-    the solid they are its boundary."""
+    """Lateral faces of pyramids (4 q, 3), those of one pyramid together, turned into it.
+
+    They and the skin's triangles are the boundary of the rest of the solid.
+    """
     ring = quads[:, _AROUND]
     ends = np.stack([ring, np.roll(ring, -1, axis=1)], axis=2)
     return np.concatenate([ends, np.broadcast_to(top[:, None, None], (*ring.shape, 1))], axis=2).reshape(-1, 3)

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.hybrid.curving import sized_shapes, unfold
 from iga.bernstein import Bernstein, bernstein, elevation, greville, lagrange_to_bernstein
 from iga.block import Block, bezier_coefficients
 from iga.cells import CELLS, HEXAHEDRON, PYRAMID, TETRAHEDRON, Cell
@@ -35,7 +36,6 @@ from iga.conforming import Complex, boundary, entity_keys, number
 from iga.domain import Domain, Facets, Provenance, Space
 from iga.errors import InputError
 from iga.refinement import children, refine_coefficients
-from iga.untangling import untangle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -70,11 +70,13 @@ def bezier_of(domain: Domain) -> Bezier:
     degrees = {p for block in space.blocks for p in block.basis.degree}
     if len(degrees) != 1 or any(f"corners{k}" not in arrays for k in range(len(space.blocks))):
         raise InputError("the domain does not carry the mesh of a hybrid volume of one degree")
-    columns = np.column_stack([domain.points, *(np.asarray(a).reshape(space.n, -1) for a in domain.attributes.values())])
+    attributes = [np.asarray(a).reshape(space.n, -1) for a in domain.attributes.values()]
+    columns = np.column_stack([domain.points, *attributes])
     if space.weights is not None:
         columns = np.column_stack([columns * space.weights[:, None], space.weights])
     place = np.zeros((len(space.blocks), 2), dtype=np.int64)
-    parts, coefficients = [], []
+    parts: list[tuple[Cell, Index]] = []
+    coefficients: list[Array] = []
     for name in CELLS:
         mine = [k for k, block in enumerate(space.blocks) if block.basis.cell.name == name]
         if not mine:
@@ -330,5 +332,5 @@ def certified(domain: Domain) -> Domain:
     ))
     free = np.ones(domain.space.n, dtype=bool)
     free[trace_functions(domain, boundary(mesh))] = False
-    moved = untangle(domain, free)
+    moved = unfold(domain, free, sized_shapes(domain))
     return replace(domain, points=moved.points, report={**domain.report, "not_certified": len(moved.invalid)})

@@ -60,7 +60,8 @@ def _cut(block: Block) -> Block:
         first, second = line_subdivision(degree[0]), line_subdivision(degree[1])
         S = np.stack([np.kron(a, b) for a in first for b in second])
     else:
-        S = np.stack([blossom_matrix(TRIANGLE, degree[0], tuple(map(tuple, c))) for c in simplex_children(TRIANGLE).tolist()])
+        corners = simplex_children(TRIANGLE).tolist()
+        S = np.stack([blossom_matrix(TRIANGLE, degree[0], tuple(map(tuple, own))) for own in corners])
     if isinstance(block.extraction, Patterns):
         C, pattern = block.extraction.C, block.extraction.pattern
     else:

@@ -21,10 +21,11 @@ from geometry.hybrid.curving import curve
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.filling import LIMIT, fill
 from geometry.hybrid.flat_corners import tangents_of, without_flat_corners
-from geometry.hybrid.numbering import ON_QUAD, Numbering, numbering, skin_rows, volume_rows
+from geometry.hybrid.numbering import ON_QUAD, numbering, skin_rows, volume_rows
 from geometry.hybrid.pyramids import apexes, lateral_triangles
 from geometry.hybrid.skin import Skin
 from iga.bernstein import bernstein
+from iga.block import Block
 from iga.cells import PYRAMID, QUADRILATERAL, TETRAHEDRON, TRIANGLE, Cell
 from iga.conforming import Complex, boundary, entity_keys, straight_domain
 from iga.domain import Domain, Facets, Provenance, Space
@@ -152,7 +153,9 @@ def assemble(
     curved = curve(straight, outer, rows @ skin.points, rounds, shown)
     M = volume_rows(outer, rows)
     points = np.concatenate([skin.points, curved.points[~outer]])
-    blocks, places, corners = [], [], {}
+    blocks: list[Block] = []
+    places: list[Index] = []
+    corners: dict[str, Index] = {}
     for (cell, own), dofs in zip(mesh.parts, numbers.dofs):
         # For each element of the part its block and its number there.
         place = np.empty((len(own), 2), dtype=np.int64)

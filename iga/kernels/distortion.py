@@ -5,9 +5,14 @@ With J (c, d) the derivatives of a map at a point, T the Jacobian matrix of the 
     eta = |S|^2 / (3 h(sigma)^(2/3)),    sigma = det S,    h(sigma) = (sigma + (sigma^2 + 4 delta^2)^(1/2)) / 2,
     d(eta^p) = p eta^p (2 S : dS / |S|^2 - (2/3) dsigma / (sigma^2 + 4 delta^2)^(1/2))
 
+and, with a factor, a term that keeps elements from shrinking to nothing while delta is positive,
+
+    g = (1 + sigma^2) / (2 h),    dg = (sigma / h - g / (sigma^2 + 4 delta^2)^(1/2)) dsigma
+
 (mean ratio: Knupp 2001; h: Escobar, Rodriguez, Montenegro, Montero, Gonzalez-Yuste 2003, doi:10.1016/S0045-7825(03)
 00299-8). eta is 1 for the ideal shape in any size and rotation. For sigma < 0 the printed form of h cancels; the
-quotient 2 delta^2 / ((sigma^2 + 4 delta^2)^(1/2) - sigma) is used instead.
+quotient 2 delta^2 / ((sigma^2 + 4 delta^2)^(1/2) - sigma) is used instead. The second term is 1 for the ideal size
+(Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov 2021, doi:10.1145/3450626.3459847).
 
 Products with the tables of the sample points are left to BLAS: a chunk of elements has its Bernstein coefficients in
 ``net`` (e, c, b), and its values and derivatives at the points are net @ table, (e, c, s, q).
@@ -165,7 +170,7 @@ def undivide(J, D):
 
 
 @numba.njit(**OPTIONS)
-def distortion(J, first, inverse, delta, power, weight, D, energy, least):
+def distortion(J, first, inverse, delta, power, size, weight, D, energy, least):
     """Distortion of a chunk, its slopes, and the smallest det S.
 
     Parameters
@@ -174,9 +179,10 @@ def distortion(J, first, inverse, delta, power, weight, D, energy, least):
     inverse : (e, 3, 3) T^-1 of the ideal elements.
     delta : (e,) regularisation; where it is 0 an element with det S <= 0 has infinite energy.
     power : p.
+    size : factor of g.
     weight : (e,) weight of the mean over the points.
     D : shape of J, result: derivatives of the weighted sum by J.
-    energy : (e,) result: weight * mean_q eta^p.
+    energy : (e,) result: weight * mean_q (eta^p + size g).
     least : (e,) result: smallest det S.
     """
     count = J.shape[3]
@@ -212,8 +218,10 @@ def distortion(J, first, inverse, delta, power, weight, D, energy, least):
                         D[e, c, first + d, q] = 0.0
                 continue
             term = w * np.exp(power * (np.log(square / 3.0) - (2.0 / 3.0) * np.log(h)))
-            total += term
+            grown = 0.5 * w * size * (1.0 + sigma * sigma) / h
+            total += term + grown
             s, k = 2.0 * power * term / square, (2.0 / 3.0) * power * term / root
+            k -= w * size * sigma / h - grown / root
             for c in range(3):
                 for d in range(3):
                     D[e, c, first + d, q] = (

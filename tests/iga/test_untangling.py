@@ -87,12 +87,12 @@ def test_gradient_is_the_derivative_of_the_energy(make, weighted):
     step = np.zeros_like(values)
     step[:, :3] = random.normal(size=(len(values), 3))
     delta = np.array([0.3, 0.2])
-    energy, gradient, parts, least = evaluate(batches, values, delta, 2.0)
+    energy, gradient, parts, least = evaluate(batches, values, delta, 2.0, 0.4)
     assert energy == pytest.approx(sum(p.sum() for p in parts), rel=1e-13)
     assert all(len(low) == e for low in least)
     slope = float((gradient * step[:, :3]).sum())
     h = 1e-6
-    both = [evaluate(batches, values + s * h * step, delta, 2.0)[0] for s in (1, -1)]
+    both = [evaluate(batches, values + s * h * step, delta, 2.0, 0.4)[0] for s in (1, -1)]
     assert (both[0] - both[1]) / (2.0 * h) == pytest.approx(slope, rel=1e-5)
 
 
