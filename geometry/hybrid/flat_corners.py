@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.skin import Skin
+from geometry.hybrid.shell import Shell
 from iga.bernstein import functions_at
 from iga.block import bezier_coefficients
 from iga.cells import QUADRILATERAL, TETRAHEDRON
@@ -51,7 +51,7 @@ class Tangents:
     normal: Array
 
 
-def tangents_of(skin: Skin) -> Tangents:
+def tangents_of(skin: Shell) -> Tangents:
     """Tangents and normals of a skin at its vertices."""
     pairs, along, vertex, normal = [], [], [], []
     for block, corners in zip(skin.space.blocks, skin.corners):

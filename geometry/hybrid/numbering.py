@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
-from geometry.hybrid.skin import Skin
+from geometry.hybrid.shell import Shell
 from iga.bernstein import bernstein, face_functions
 from iga.block import bezier_coefficients, dense_extraction
 from iga.cells import PYRAMID, QUADRILATERAL, TETRAHEDRON
@@ -58,7 +58,7 @@ class Numbering:
         return mask
 
 
-def numbering(mesh: Complex, skin: Skin, degree: int) -> Numbering:
+def numbering(mesh: Complex, skin: Shell, degree: int) -> Numbering:
     """Number the Bernstein functions of a mesh whose first vertices are those of a skin."""
     extra = mesh.vertices
     stand_ins = []
@@ -87,7 +87,7 @@ def numbering(mesh: Complex, skin: Skin, degree: int) -> Numbering:
     return Numbering(tuple(place[own] for own in inside), int(used.sum()), tuple(on_skin))
 
 
-def skin_rows(skin: Skin, numbers: Numbering) -> csr_array:
+def skin_rows(skin: Shell, numbers: Numbering) -> csr_array:
     """Bernstein coefficients on the skin from the skin's coefficients, (numbers.n, skin functions).
 
     Raises

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.skin import Skin
+from geometry.hybrid.shell import Shell
 from iga.bernstein import functions_at
 from iga.block import Block, Patterns, bezier_coefficients, dense_extraction
 from iga.cells import QUADRILATERAL, TRIANGLE
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-def subdivided(skin: Skin) -> Skin:
+def subdivided(skin: Shell) -> Shell:
     """Cut every element of a skin in four."""
     total = len(skin.vertices)
     ends = [c[:, block.basis.cell.edges] for block, c in zip(skin.space.blocks, skin.corners)]
@@ -50,7 +50,7 @@ def subdivided(skin: Skin) -> Skin:
         vertices[own] = bezier_coefficients(block, skin.points)[:, at]
     vertices[:total] = skin.vertices
     space = Space(tuple(blocks), skin.space.n, skin.space.weights)
-    return Skin(space, skin.points, tuple(corners), vertices, tuple(faces), skin.names)
+    return Shell(space, skin.points, tuple(corners), vertices, tuple(faces), skin.names)
 
 
 def _cut(block: Block) -> Block:

@@ -23,7 +23,7 @@ from geometry.hybrid.filling import LIMIT, fill
 from geometry.hybrid.flat_corners import tangents_of, without_flat_corners
 from geometry.hybrid.numbering import ON_QUAD, numbering, skin_rows, volume_rows
 from geometry.hybrid.pyramids import apexes, lateral_triangles
-from geometry.hybrid.skin import Skin
+from geometry.hybrid.shell import Shell
 from iga.bernstein import bernstein
 from iga.block import Block
 from iga.cells import PYRAMID, QUADRILATERAL, TETRAHEDRON, TRIANGLE, Cell
@@ -54,7 +54,7 @@ class Filled:
     cut: int
 
 
-def degree_of(skin: Skin) -> int:
+def degree_of(skin: Shell) -> int:
     """The skin's degree.
 
     Raises
@@ -69,13 +69,13 @@ def degree_of(skin: Skin) -> int:
     return degrees.pop()
 
 
-def corners_of(skin: Skin, cell: Cell) -> Index:
+def corners_of(skin: Shell, cell: Cell) -> Index:
     """Vertex numbers of the skin's elements of one cell, blocks one after the other."""
     found = [c for block, c in zip(skin.space.blocks, skin.corners) if block.basis.cell is cell]
     return np.concatenate([np.zeros((0, len(cell.vertices)), dtype=np.int64), *found])
 
 
-def fill_skin(skin: Skin, limit: float = LIMIT) -> Filled:
+def fill_skin(skin: Shell, limit: float = LIMIT) -> Filled:
     """Straight pyramids and tetrahedra inside a skin.
 
     Raises
@@ -94,7 +94,7 @@ def fill_skin(skin: Skin, limit: float = LIMIT) -> Filled:
     return Filled(vertices, Complex(parts), heights, cut)
 
 
-def skin_facets(mesh: Complex, skin: Skin) -> list[Index]:
+def skin_facets(mesh: Complex, skin: Shell) -> list[Index]:
     """Where the elements of each block of a skin lie in a mesh: part, face and element, (e, 3)."""
     found = []
     for corners in skin.corners:
@@ -116,7 +116,7 @@ def skin_facets(mesh: Complex, skin: Skin) -> list[Index]:
     return found
 
 
-def complete(skin: Skin, provenance: Provenance | None = None, limit: float = LIMIT, rounds: int = 12,
+def complete(skin: Shell, provenance: Provenance | None = None, limit: float = LIMIT, rounds: int = 12,
              shown: Progress = QUIET) -> Domain:
     """Volume of pyramids and tetrahedra under a skin.
 
@@ -139,7 +139,7 @@ def complete(skin: Skin, provenance: Provenance | None = None, limit: float = LI
 
 
 def assemble(
-    skin: Skin, mesh: Complex, vertices: Array, degree: int, rounds: int, provenance: Provenance | None,
+    skin: Shell, mesh: Complex, vertices: Array, degree: int, rounds: int, provenance: Provenance | None,
     report: Mapping[str, Any], shown: Progress = QUIET,
 ) -> Domain:
     """Domain of a straight mesh under a skin, curved to fit it."""
@@ -171,7 +171,7 @@ def assemble(
     return Domain(Space(tuple(blocks), M.shape[1]), points, named, provenance=origin, report=report)
 
 
-def _named(skin: Skin, facets: Sequence[Index], places: Sequence[Index]) -> dict[str, tuple[Facets, ...]]:
+def _named(skin: Shell, facets: Sequence[Index], places: Sequence[Index]) -> dict[str, tuple[Facets, ...]]:
     """Facets of each named CAD face."""
     rows = []
     for where, face in zip(facets, skin.face):

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array, lil_array
 
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.numbering import ON_QUAD
-from geometry.hybrid.skin import Skin
+from geometry.hybrid.shell import Shell
 from iga.bernstein import bernstein, elevation, face_functions
 from iga.cells import PYRAMID, QUADRILATERAL, TETRAHEDRON, TRIANGLE
 from iga.conforming import Complex, number
@@ -40,8 +40,8 @@ def base_functions(quads: Index, triangles: Index, degree: int) -> tuple[Index, 
 def bezier_skin(
     vertices: Array, quads: Index, triangles: Index, degree: int, warp: Map | None = None,
     face: tuple[Index, Index] | None = None, names: tuple[str, ...] = ("skin",), place: Map | None = None,
-) -> Skin:
-    """Skin of a closed mesh with C0 Bernstein functions.
+) -> Shell:
+    """Shell of a closed mesh with C0 Bernstein functions.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def bezier_skin(
         faces.append(np.zeros(len(own), dtype=np.int64) if face is None else face[k])
     moved = points if warp is None else warp(points)
     spots = vertices if warp is None and place is None else (warp or place)(vertices)  # type: ignore[misc]
-    return Skin(Space(tuple(blocks), n), moved, tuple(corners), spots, tuple(faces), names)
+    return Shell(Space(tuple(blocks), n), moved, tuple(corners), spots, tuple(faces), names)
 
 
 def box_mesh(n: int, split: tuple[bool, ...]) -> tuple[Array, Index, Index, Index, Index]:
@@ -108,7 +108,7 @@ def box_mesh(n: int, split: tuple[bool, ...]) -> tuple[Array, Index, Index, Inde
 SIDES = ("x0", "x1", "y0", "y1", "z0", "z1")
 
 
-def spline_box(n: int, degree: int, split: tuple[bool, ...] = (False,) * 6, warp: Map | None = None) -> Skin:
+def spline_box(n: int, degree: int, split: tuple[bool, ...] = (False,) * 6, warp: Map | None = None) -> Shell:
     """Unit cube whose quadrilateral faces are open B-splines on n x n intervals; triangles carry C0 functions."""
     vertices, quads, triangles, on_quad, on_triangle = box_mesh(n, split)
     dofs_quad, dofs_triangle, count = base_functions(quads, triangles, degree)
@@ -162,7 +162,7 @@ def spline_box(n: int, degree: int, split: tuple[bool, ...] = (False,) * 6, warp
 
         net = bezier_coefficients(block, moved)
         corner_of[own] = net[:, functions_at(block.basis, block.basis.cell.vertices)]
-    return Skin(Space(tuple(blocks), len(points)), moved, tuple(corners), corner_of, tuple(face), SIDES)
+    return Shell(Space(tuple(blocks), len(points)), moved, tuple(corners), corner_of, tuple(face), SIDES)
 
 
 def bend(points: Array) -> Array:
@@ -173,7 +173,7 @@ def bend(points: Array) -> Array:
     return np.column_stack([radius * np.sin(angle), y + 0.1 * x * z, radius * np.cos(angle)])
 
 
-def ball(n: int, degree: int, split: tuple[bool, ...] = (False,) * 6) -> Skin:
+def ball(n: int, degree: int, split: tuple[bool, ...] = (False,) * 6) -> Shell:
     """Unit sphere, interpolated at the domain points of a cube's surface mesh."""
     vertices, quads, triangles, on_quad, on_triangle = box_mesh(n, split)
 
