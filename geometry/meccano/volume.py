@@ -1,7 +1,8 @@
 """Building the volumetric parametrisation: adapted mesh, image of its boundary, relocation of its inner nodes.
 
-The tolerance falls in stages. The mesh of a stage refines that of the stage before, its inner nodes start where the map
-of that stage puts them (the harmonic extension of the boundary, in the first), and are then untangled and smoothed.
+The tolerance falls in stages. The mesh of a stage refines that of the stage before. Its inner nodes start where that
+stage's map puts them, or in the harmonic extension of the boundary nodes, whichever inverts fewer simplices, and are
+then untangled and smoothed; if simplices stay inverted, the other start is tried as well.
 
 Axis letters: m simplex, n node, d dimension.
 """
@@ -13,20 +14,23 @@ from time import perf_counter
 from typing import Literal
 
 import numpy as np
+import pyamg
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, csr_matrix
 from scipy.sparse.linalg import splu
 
 from geometry.meccano.adaptation import Measure, Onto, adapt, boundary_nodes
 from geometry.meccano.bisection import BisectedMesh, coloured, kuhn, oriented, picture, place_new, refine, refine_all
 from geometry.meccano.blocks import Blocks
 from geometry.meccano.parametrisation import Parametrisation
-from geometry.meccano.relocation import ideal_gradients, mean_ratios, relocate
+from geometry.meccano.relocation import ideal_gradients, mean_ratios, quality, relocate
 from iga.progress import QUIET, Progress
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Start = Literal["coloured", "kuhn"]
+
+DIRECT = 20_000  # unknowns above which linear systems are solved by multigrid
 
 
 @dataclass(frozen=True)
@@ -116,17 +120,22 @@ def _settle(
     number, where = boundary_nodes(mesh, onto)
     free = np.ones(len(mesh.ends), dtype=bool)
     free[number] = False
-    if nodes is None:
-        nodes = np.zeros((len(mesh.ends), mesh.blocks.dim))
-        nodes[number] = where
-        nodes = harmonic(mesh, gradients, nodes, free)
-    else:
-        nodes = place_new(mesh, nodes)
-        nodes[number] = where
-    done = relocate(mesh.tets, gradients, nodes, free, sweeps)
+    fixed = np.zeros((len(mesh.ends), mesh.blocks.dim))
+    fixed[number] = where
+    starts = [harmonic(mesh, gradients, fixed, free)]
+    if nodes is not None:
+        starts.append(np.where(free[:, None], place_new(mesh, nodes), fixed))
+    starts.sort(key=lambda start: quality(mesh.tets, gradients, start).inverted)
+    tries = []
+    for start in starts:
+        tries.append(relocate(mesh.tets, gradients, start, free, sweeps))
+        if tries[-1].quality.inverted == 0:
+            break
+    done = min(tries, key=lambda made: made.quality.inverted)
     return done.nodes, Stage(
-        tolerance, distance, len(nodes), int(free.sum()), len(mesh.tets), int(done.inverted[0]), int(done.inverted[-1]),
-        done.inverted[1:].tolist(), done.quality.least, done.quality.mean, perf_counter() - begin,
+        tolerance, distance, len(fixed), int(free.sum()), len(mesh.tets), int(done.inverted[0]),
+        int(done.inverted[-1]), done.inverted[1:].tolist(), done.quality.least, done.quality.mean,
+        perf_counter() - begin,
     )
 
 
@@ -141,5 +150,12 @@ def harmonic(mesh: BisectedMesh, gradients: Array, nodes: Array, free: NDArray[n
     result = nodes.copy()
     if len(inner):
         held = np.flatnonzero(~free)
-        result[inner] = splu(K[inner][:, inner].tocsc()).solve(-(K[inner][:, held] @ nodes[held]))
+        right = -(K[inner][:, held] @ nodes[held])
+        own = K[inner][:, inner]
+        if len(inner) <= DIRECT:
+            result[inner] = splu(own.tocsc()).solve(right)
+        else:  # a starting point needs no more digits
+            levels = pyamg.smoothed_aggregation_solver(csr_matrix(own))
+            for c in range(nodes.shape[1]):
+                result[inner, c] = levels.solve(right[:, c], tol=1e-5, accel="cg")
     return result
