@@ -99,6 +99,20 @@ def extraction_shape(block: Block) -> tuple[int, int]:
     return int(shapes[:, 0].prod()), int(shapes[:, 1].prod())
 
 
+def unity_defect(block: Block) -> tuple[float, int]:
+    """Largest deviation from one of the sum of a block's functions, and the number of the operator where it occurs."""
+    extraction = block.extraction
+    if extraction is None:
+        return 0.0, 0
+    operators = (extraction.C,) if isinstance(extraction, Patterns) else extraction.factors
+    worst = (0.0, 0)
+    for C in operators:
+        off = np.abs(C.sum(axis=1) - 1.0).max(axis=1, initial=0.0)
+        if len(off):
+            worst = max(worst, (float(off.max()), int(off.argmax())))
+    return worst
+
+
 def dense_extraction(block: Block, elements: Index | slice) -> Array | None:
     """Operators C of some elements, (m, n, b); None for the identity."""
     extraction = block.extraction

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iga.bernstein import Bernstein, LocalBasis
-from iga.block import Patterns, bezier_coefficients
+from iga.block import Patterns, bezier_coefficients, unity_defect
 from iga.determinant import UNIT_ROUNDOFF, Array, Index, determinant, gamma, kernel_plan, splits
 from iga.domain import Domain
 from iga.errors import InputError
@@ -206,8 +206,8 @@ class _Job:
         self.block, self.number, self.first = block, number, first
         self.basis = as_bernstein(block.basis)
         self.values = domain.points
-        # Equal weights cancel: the map is polynomial.
-        rational = weights is not None and bool(np.ptp(weights[block.dofs]) > 0.0)
+        # Equal weights cancel where functions sum to one: the map is polynomial.
+        rational = weights is not None and bool(np.ptp(weights[block.dofs]) > 0.0 or unity_defect(block)[0] > 1e-9)
         if weights is not None and rational:
             self.values = np.column_stack([weights, weights[:, None] * domain.points])
         self.rational = rational

@@ -41,6 +41,10 @@ Value = Any
 """A number, a vector (c,), a function of x (..., 3), a `Field`, or a tuple with one of these or None per component."""
 
 
+class DependentTracesError(InputError):
+    """Values cannot be prescribed strongly: functions with a trace on the boundary are dependent there."""
+
+
 def dirichlet(
     domain: Domain, data: Mapping[str, Value], components: int = 1, points: int | None = None
 ) -> tuple[Index, Array]:
@@ -62,6 +66,7 @@ def dirichlet(
     Raises
     ------
     InputError : a name matches no boundary or an empty one, or a value does not fit the components.
+    DependentTracesError : traces are dependent, as those of unclamped splines are; use `nitsche`.
     """
     pieces: list[list[tuple[tuple[Facets, ...], Coefficient]]] = [[] for _ in range(components)]
     claimed: list[dict[tuple[int, int], NDArray[np.bool_]]] = [{} for _ in range(components)]
@@ -276,7 +281,13 @@ def _trace_space(
     d = M.diagonal()
     some = d > 1e-12 * d.max(initial=0.0)
     kept = np.flatnonzero(some)
-    factor = factorize(M[kept][:, kept], symmetric=True)
+    try:
+        factor = factorize(M[kept][:, kept], symmetric=True)
+    except InputError as error:
+        raise DependentTracesError(
+            "functions with a trace on the boundary are dependent there, as those of unclamped splines are: "
+            "values can only be imposed weakly"
+        ) from error
 
     def solve(load: Array) -> Array:
         values = np.zeros(len(free))
@@ -346,7 +357,9 @@ def _trace_constant(chunk: Chunk, physics: Diffusion | Elasticity, S: Array, poi
         points3 = chunk.domain.points[chunk.dofs]
         modes = np.linalg.qr(np.stack([rigid_motions(p) for p in points3]))[0]
     size = np.trace(A, axis1=1, axis2=2) / m
-    A = A + size[:, None, None] * (modes @ modes.swapaxes(1, 2))
+    # Hierarchical splines and T-splines may have more functions on an element than it has polynomials: both forms
+    # vanish on what is left over, and the small multiple of the identity keeps A definite there.
+    A = A + size[:, None, None] * (modes @ modes.swapaxes(1, 2) + 1e-12 * np.eye(m))
     L = np.linalg.cholesky(A)
     half = np.linalg.solve(L, B)
     C = np.linalg.solve(L, half.swapaxes(1, 2))

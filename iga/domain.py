@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from iga.block import Block, Kronecker, Patterns, bezier_coefficients
+from iga.block import Block, Kronecker, Patterns, bezier_coefficients, unity_defect
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -185,8 +185,8 @@ def check(domain: Domain) -> None:
     Raises
     ------
     InputError : the first thing that is wrong, by name: non-finite control points, weights that are not positive, dof
-        or pattern numbers out of range, functions on no element, extraction that does not sum to one,
-        facets out of range.
+        or pattern numbers out of range, functions on no element, extraction that does not sum to one (of rational
+        functions: a sum of weighted functions that is not positive), facets out of range.
     """
     space = domain.space
     bad = np.flatnonzero(~np.isfinite(domain.points).all(axis=1))
@@ -201,6 +201,7 @@ def check(domain: Domain) -> None:
     used = np.zeros(space.n, dtype=bool)
     for number, block in enumerate(space.blocks):
         _check_block(number, block, space.n)
+        _check_sum(number, block, space.weights)
         used[block.dofs] = True
     if space.constraint is None and not used.all():
         raise InputError(f"function {np.flatnonzero(~used)[0]} acts on no element")
@@ -232,6 +233,20 @@ def _check_block(number: int, block: Block, n: int) -> None:
             raise InputError(f"block {number}: {len(pattern)} extraction patterns for {block.elements} elements")
         if len(pattern) and not (pattern.min() >= 0 and pattern.max() < len(C)):
             raise InputError(f"block {number}: extraction pattern numbers lie outside 0..{len(C) - 1}")
-        off = np.abs(C.sum(axis=1) - 1.0).max(axis=1)
-        if off.max() > 1e-9:
-            raise InputError(f"block {number}: extraction pattern {off.argmax()} does not sum to one ({off.max():.1e})")
+
+
+def _check_sum(number: int, block: Block, weights: Array | None) -> None:
+    """Functions sum to one; those of rational spaces do by the quotient, if the weight function is positive."""
+    off, pattern = unity_defect(block)
+    if off <= 1e-9:
+        return
+    if weights is None:
+        raise InputError(f"block {number}: extraction pattern {pattern} does not sum to one ({off:.1e})")
+    for start in range(0, block.elements, 4096):
+        least = bezier_coefficients(block, weights[:, None], slice(start, start + 4096))[..., 0].min(axis=1)
+        if not (least > 0.0).all():
+            element = start + int(np.nanargmin(least))
+            raise InputError(
+                f"block {number}: the weight function has the coefficient {least.min():.1e} on element {element}; "
+                "rational functions need positive ones"
+            )

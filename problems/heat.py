@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from iga.assembly import matrix, vector
+from iga.conditions import DependentTracesError, nitsche
 from iga.domain import Domain
 from iga.errors import InputError
 from iga.field import Field
@@ -66,7 +67,7 @@ class Heat:
 
 
 def solve(problem: Heat, domain: Domain, solver: str = "auto", points: int | None = None) -> Solution:
-    """Solve the steady problem.
+    """Solve the steady problem; where functions are dependent on the boundary, temperatures are imposed weakly.
 
     Parameters
     ----------
@@ -85,14 +86,29 @@ def solve(problem: Heat, domain: Domain, solver: str = "auto", points: int | Non
     conductivity = checked(problem.conductivity, "conductivity", 3, domain)
     K, exchange = stiffness(problem, domain, conductivity, points)
     f = load(problem, domain, points, 0.0)
-    fixed, value = prescribed(domain, problem.temperature, 1, points)
+    held = problem.temperature
+    try:
+        fixed, value = prescribed(domain, held, 1, points)
+    except DependentTracesError:
+        held, fixed, value = {}, np.zeros(0, dtype=np.int64), np.zeros(0)
+        grip, pull = weakly(problem, domain, conductivity, points)
+        exchange = grip if exchange is None else exchange + grip
+        f += pull
     system = System(domain, K + exchange if exchange is not None else K, f, fixed, value, 1)
     clock.lap("assemble_s")
     u, log = system.solve(solver)
     clock.lap("solve_s")
-    log = {**log, **clock.times, "energy": 0.5 * float(u @ (K @ u))}
+    log = {**log, **clock.times, "energy": 0.5 * float(u @ (K @ u)), "weak": held is not problem.temperature}
     quantities = quantities_of(u, conductivity)
-    return Solution(domain, "heat", u, quantities, log, system.reactions(u, problem.temperature, points))
+    return Solution(domain, "heat", u, quantities, log, system.reactions(u, held, points))
+
+
+def weakly(problem: Heat, domain: Domain, conductivity: Any, points: int | None) -> tuple[csr_array, Array]:
+    """Matrix (n, n) and vector (n,) that impose the temperatures by Nitsche's method."""
+    physics = diffusion(conductivity)
+    if not isinstance(physics, Diffusion):
+        raise InputError("a temperature on unclamped splines needs a conductivity that is no field of tensors")
+    return nitsche(domain, {name: freeze(datum) for name, datum in problem.temperature.items()}, physics, points=points)
 
 
 def resolved(problem: Heat, domain: Domain) -> Heat:

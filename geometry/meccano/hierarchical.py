@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.meccano.blocks import Blocks
+from geometry.meccano.distinct import distinct
 from geometry.meccano.splines import bezier_table, refinement_table, window
 from geometry.meccano.tmesh import Nodes, TMesh
 from iga.bernstein import LocalBasis, bernstein
@@ -306,10 +307,7 @@ def _distinct(rows: NDArray[np.uint8], chosen: Mask) -> tuple[Index, Index]:
     """Number of each chosen row among the distinct ones (-1 elsewhere), and the first place of each."""
     number = np.full(len(rows), -1, dtype=np.int64)
     where = np.flatnonzero(chosen)
-    if not len(where):
-        return number, where
-    packed = np.ascontiguousarray(rows[where]).view(np.dtype((np.void, rows.shape[1]))).ravel()
-    _, first, number[where] = np.unique(packed, return_index=True, return_inverse=True)
+    first, number[where] = distinct(rows[where])
     return number, where[first]
 
 

@@ -4,9 +4,8 @@ The paper's rule (section 3.1): a cell is split while its *open interior* contai
 node lies inside a cell of size 2^-l exactly if none of its coordinates is a multiple of that size, and then it also
 lies inside all larger cells around it; so the cells to split at each level are simply those around such nodes.
 
-Cells at level l are known by the key ``block * 2^(d l) + z`` with z the Morton code of their place (bits of the
-coordinates interleaved): the parent of key k is k >> d, and its children are 2^d k, ..., 2^d k + 2^d - 1. Leaf cells
-are kept in the order of the keys of their lowest corner on the finest level, so a point is found by one binary search.
+Cells are known by keys (`morton`). Leaf cells are kept in the order of the keys of their lowest corner on the finest
+level, so a point is found by one binary search.
 
 Two conditions may be asked of a mesh beyond the nodes; both only ever split more cells, and one sweep from the finest
 level to the coarsest establishes them:
@@ -32,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.meccano.blocks import Blocks
+from geometry.meccano.morton import ancestors, key_of, place_of
 from geometry.meccano.parametrisation import LEVELS
 from iga.errors import InputError
 
@@ -79,7 +79,7 @@ class TMesh:
     @cached_property
     def key(self) -> Index:
         """Key of each cell among those of its own level, (c,)."""
-        return _key(self.block, self.corner >> (LEVELS - self.level)[:, None], self.level)
+        return key_of(self.block, self.corner >> (LEVELS - self.level)[:, None], self.level)
 
     @cached_property
     def code(self) -> Index:
@@ -89,7 +89,7 @@ class TMesh:
     @cached_property
     def split(self) -> tuple[Index, ...]:
         """Keys of the split cells of each level, ascending."""
-        return tuple(_ancestors(self.key, self.level, self.dim))
+        return tuple(ancestors(self.key, self.level, self.dim))
 
     @cached_property
     def tree(self) -> tuple[Nodes, ...]:
@@ -101,7 +101,7 @@ class TMesh:
             own = np.flatnonzero(self.level == level)
             leaf = np.full(len(keys), -1, dtype=np.int64)
             leaf[np.searchsorted(keys, self.key[own])] = own
-            made.append(Nodes(level, keys, *_place(keys, level, self.dim), leaf))
+            made.append(Nodes(level, keys, *place_of(keys, level, self.dim), leaf))
             keys = ((keys[leaf < 0] << self.dim)[:, None] + offset).ravel()
         return tuple(made)
 
@@ -130,7 +130,7 @@ def uniform(blocks: Blocks, level: int, grading: int = 0) -> TMesh:
     _check_level(level)
     d = blocks.dim
     keys = np.arange(len(blocks.corners) << (d * level), dtype=np.int64)
-    block, place = _place(keys, level, d)
+    block, place = place_of(keys, level, d)
     return TMesh(blocks, block, np.full(len(keys), level, dtype=np.int64), place << (LEVELS - level), grading)
 
 
@@ -171,8 +171,8 @@ def octree(
             split.append(np.arange(len(blocks.corners) << (d * level), dtype=np.int64))
         else:
             own = depth > level
-            split.append(np.unique(_key(block[own], places[own] >> (LEVELS - level), level)))
-    return _grown(blocks, split, grading, equal, limit)
+            split.append(np.unique(key_of(block[own], places[own] >> (LEVELS - level), level)))
+    return grown(blocks, split, grading, equal, limit)
 
 
 def refined(tmesh: TMesh, cells: Index | None = None, equal: bool = True, limit: int = 2_000_000) -> TMesh:
@@ -197,7 +197,7 @@ def refined(tmesh: TMesh, cells: Index | None = None, equal: bool = True, limit:
             split.append(own)
         else:
             split[level] = np.union1d(split[level], own)
-    return _grown(tmesh.blocks, split, tmesh.grading, equal, limit)
+    return grown(tmesh.blocks, split, tmesh.grading, equal, limit)
 
 
 def cells_at(tmesh: TMesh, block: Index, xi: Array) -> Index:
@@ -208,7 +208,7 @@ def cells_at(tmesh: TMesh, block: Index, xi: Array) -> Index:
 
 def cells_of(tmesh: TMesh, block: Index, places: Index) -> Index:
     """Leaf cells (q,) that contain the integer points (q, d) over 2^LEVELS; a cell holds its lowest corner."""
-    key = _key(np.asarray(block), np.asarray(places) >> (LEVELS - DEPTH), DEPTH)
+    key = key_of(np.asarray(block), np.asarray(places) >> (LEVELS - DEPTH), DEPTH)
     return np.searchsorted(tmesh.code, key, side="right") - 1
 
 
@@ -284,64 +284,10 @@ def transitions(blocks: Blocks) -> tuple[Index, Index]:
     return A, t
 
 
-# --- keys -------------------------------------------------------------------------------------------------------------
-
-
-def _key(block: Index, place: Index, level: int | Index) -> Index:
-    """Keys of cells at places (m, d) in units of their size."""
-    d = place.shape[1]
-    key = np.left_shift(np.asarray(block, dtype=np.int64), d * level)
-    for axis in range(d):
-        key = key | (_spread(place[:, axis], d) << (d - 1 - axis))
-    return key
-
-
-def _place(key: Index, level: int, d: int) -> tuple[Index, Index]:
-    """Blocks (m,) and places (m, d) of keys."""
-    low = key & ((1 << (d * level)) - 1)
-    return key >> (d * level), np.stack([_gather(low >> (d - 1 - axis), d) for axis in range(d)], axis=-1)
-
-
-_MASKS = {
-    3: ((8, 0x00F00F00F00F), (4, 0x0C30C30C30C3), (2, 0x249249249249)),
-    2: ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)),
-}
-_WHOLE = {3: 0xFF0000FF, 2: 0xFFFF}
-
-
-def _spread(x: Index, d: int) -> Index:
-    """Put d - 1 zeros between the 16 bits of each number."""
-    x = np.asarray(x, dtype=np.int64)
-    if d == 3:
-        x = (x | (x << 16)) & _WHOLE[3]
-    for shift, mask in _MASKS[d]:
-        x = (x | (x << shift)) & mask
-    return x
-
-
-def _gather(x: Index, d: int) -> Index:
-    """Undo `_spread`, whatever lies in the other bits."""
-    masks = _MASKS[d]
-    x = x & masks[-1][1]
-    for k in range(len(masks) - 1, -1, -1):
-        x = (x | (x >> masks[k][0])) & (masks[k - 1][1] if k else _WHOLE[d])
-    return (x | (x >> 16)) & 0xFFFF if d == 3 else x
-
-
-def _ancestors(key: Index, level: Index, d: int) -> list[Index]:
-    """Keys of all proper ancestors of leaf cells, by level."""
-    found: list[Index] = []
-    above = np.empty(0, dtype=np.int64)
-    for l in range(int(level.max(initial=0)), 0, -1):
-        above = np.unique(np.concatenate([above, key[level == l]]) >> d)
-        found.append(above)
-    return found[::-1]
-
-
 # --- conditions -------------------------------------------------------------------------------------------------------
 
 
-def _grown(blocks: Blocks, split: list[Index], grading: int, equal: bool, limit: int) -> TMesh:
+def grown(blocks: Blocks, split: list[Index], grading: int, equal: bool, limit: int) -> TMesh:
     """T-mesh with at least the given cells split, by level."""
     d = blocks.dim
     split = [np.asarray(keys, dtype=np.int64) for keys in split]
@@ -362,22 +308,22 @@ def _grown(blocks: Blocks, split: list[Index], grading: int, equal: bool, limit:
     found: list[tuple[Index, Index, Index]] = []
     for level, own in enumerate([*split, np.empty(0, dtype=np.int64)]):
         leaf = nodes[~np.isin(nodes, own, assume_unique=True)]
-        block, place = _place(leaf, level, d)
+        block, place = place_of(leaf, level, d)
         found.append((block, np.full(len(leaf), level, dtype=np.int64), place << (LEVELS - level)))
         nodes = ((own << d)[:, None] + offset).ravel()
     block, levels, corner = (np.concatenate(part) for part in zip(*found))
-    order = np.argsort(_key(block, corner >> (LEVELS - DEPTH), DEPTH))
+    order = np.argsort(key_of(block, corner >> (LEVELS - DEPTH), DEPTH))
     return TMesh(blocks, block[order], levels[order], corner[order], grading)
 
 
 def _near(key: Index, level: int, d: int, g: int) -> Index:
     """Parents of the cells within g cells of the given ones in the same block."""
-    block, place = _place(key, level, d)
+    block, place = place_of(key, level, d)
     low, high = np.maximum(place - g, 0) >> 1, np.minimum(place + g, (1 << level) - 1) >> 1
     steps = np.stack(np.meshgrid(*[np.arange(g + 1)] * d, indexing="ij"), axis=-1).reshape(-1, d)
     found = []
     for step in steps:  # (g + 1)^d, whatever the number of cells
-        found.append(np.unique(_key(block, np.minimum(low + step, high), level - 1)))
+        found.append(np.unique(key_of(block, np.minimum(low + step, high), level - 1)))
     return np.unique(np.concatenate(found))
 
 
@@ -386,7 +332,7 @@ def _mirrored(blocks: Blocks, A: Index, t: Index, key: Index, level: int) -> Ind
     d, n = blocks.dim, 1 << level
     new = key
     while len(new):
-        block, place = _place(new, level, d)
+        block, place = place_of(new, level, d)
         centre = 2 * place + 1
         images = []
         for f in range(len(blocks.cell.faces)):
@@ -395,7 +341,7 @@ def _mirrored(blocks: Blocks, A: Index, t: Index, key: Index, level: int) -> Ind
             own = np.flatnonzero((place[:, axis] == (n - 1) * end) & (there >= 0))
             b = block[own]
             image = np.einsum("mij,mj->mi", A[b, f], centre[own]) + 2 * n * t[b, f]
-            images.append(_key(there[own], np.clip(image, 1, 2 * n - 1) >> 1, level))
+            images.append(key_of(there[own], np.clip(image, 1, 2 * n - 1) >> 1, level))
         new = np.setdiff1d(np.concatenate(images), key)
         key = np.union1d(key, new)
     return key
