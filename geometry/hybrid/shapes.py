@@ -141,7 +141,7 @@ def lettered_face(intervals: int = 4) -> Face:
     x, y = np.meshgrid(where, where, indexing="ij")
     control = np.stack([x, y, 0.25 * np.sin(2.2 * x + 0.4) * np.cos(2.6 * y) + 0.1 * x * y], axis=-1)
     square = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
-    letter = [(0.29, 0.27), (0.31, 0.74), (0.46, 0.72), (0.44, 0.43), (0.72, 0.45), (0.70, 0.29)]
+    letter = [(0.29, 0.27), (0.31, 0.74), (0.46, 0.72), (0.44, 0.45), (0.72, 0.40), (0.70, 0.29)]
     loops = []
     for corners, bow in ((square, 0.0), (letter, 0.03)):
         loop = []

@@ -2,7 +2,8 @@ r"""Element size along the edges of a solid, and how many pieces each edge gets.
 
 At samples of every edge the wanted size is the least of
 
-    a share of the diagonal;   TURN / curvature of the edge;   ASPECT * TURN / curvature of the faces beside it;
+    a share of the diagonal;   SHORT * length of the edge;   TURN / curvature of the edge;
+    ASPECT * TURN / curvature of the faces beside it;
     NEAR * distance to edges of the same face, FAR * distance to any other edge, that do not share a vertex.
 
 The size elsewhere is h(x) = min_i (s_i + GRADE |x - x_i|) over all samples, which keeps neighbouring elements alike.
@@ -29,6 +30,7 @@ TURN = 0.8
 ASPECT = 3.0
 NEAR = 1.5
 FAR = 2.5
+SHORT = 1.25
 GRADE = 0.5
 SAMPLES = 24
 
@@ -132,6 +134,8 @@ def size_edges(brep: Brep, size: float) -> tuple[Sizing, list[Array]]:
         bend = np.linalg.norm(np.diff(T, axis=0), axis=1) / step
         curvature = np.maximum(np.append(bend, bend[-1]), np.insert(bend, 0, bend[0]))
         wanted[i] = np.minimum(wanted[i], TURN / (curvature + 1e-300))
+        # A short edge is one piece, and what is around it must grow from there.
+        wanted[i] = np.minimum(wanted[i], SHORT * step.sum())
         for f, k, j in brep.coedges_of[e]:
             face = brep.faces[f]
             if face.kind != "plane":
@@ -144,7 +148,7 @@ def size_edges(brep: Brep, size: float) -> tuple[Sizing, list[Array]]:
     owner = np.repeat(np.arange(len(live)), SAMPLES - 1)
     points = x.reshape(-1, 3)
     distance = _nearest(points, np.repeat(np.arange(len(live)), SAMPLES), segments, owner, share, faces, NEAR, FAR)
-    floor = 1e-4 * brep.diagonal
+    floor = 1e-6 * brep.diagonal
     raw = Sizing(points, np.maximum(np.minimum(wanted.ravel(), distance), floor))
     graded = size_at(raw, points).reshape(len(live), SAMPLES)
     empty = np.empty(0)

@@ -43,6 +43,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 ROUNDS = 8
+PATIENCE = 2
+"""Rounds without improvement by a third after which refinement stops: what is left is the file's gap, or a cusp."""
 SMOOTH = 2.3
 """Boundary vertices with a larger angle (radians) inside the face must not be the tip of an ear."""
 
@@ -125,6 +127,7 @@ def build_skin(
     sizing = base
     least = _least_pieces(brep)
     best: tuple[float, Skin] | None = None
+    stuck = 0
     for _ in progress.track(range(ROUNDS), "skin"):
         edges, count = _cut_edges(brep, sizing, wanted, least, tolerance)
         try:
@@ -141,9 +144,10 @@ def build_skin(
         failed = None
         skin, finer = _assemble(brep, edges, meshes, count, tolerance)
         badness = float(skin.report["crossings"] + skin.report["folded"]) * 1e6 + skin.report["max_distance"]
+        stuck = 0 if best is None or badness < 0.7 * best[0] else stuck + 1
         if best is None or badness < best[0]:
             best = (badness, skin)
-        if len(finer.points) == 0:
+        if len(finer.points) == 0 or stuck == PATIENCE:
             break
         sizing = Sizing(np.concatenate([sizing.points, finer.points]), np.concatenate([sizing.size, finer.size]))
     if best is None:

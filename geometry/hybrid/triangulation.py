@@ -32,6 +32,8 @@ SPLIT = 1.35
 TURN = 0.75
 """Largest angle (radians) between the normals at the ends of an interior edge."""
 PASSES = 40
+LOOSE = 1.6
+"""How much better the quality in space may be than that in the chart before the latter counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,6 +201,8 @@ def _quality(q: Any, x: Any, a: Any, b: Any, c: Any, ab: Any, bc: Any, ca: Any, 
     s = e0 * e0 + e1 * e1 + g0 * g0 + f0 * f0 + f1 * f1 + g1 * g1
     s += (f0 - e0) ** 2 + (f1 - e1) ** 2 + (g1 - g0) ** 2
     value = 2.0 * np.sqrt(3.0) * area / (s + 1e-300)
+    # Corners far apart on a surface that curls may look well placed in space.
+    value = min(value, LOOSE * _ear_quality(q, a, b, c))
     if (ab and bc and smooth[b]) or (bc and ca and smooth[c]) or (ca and ab and smooth[a]):
         value *= 0.01
     return value

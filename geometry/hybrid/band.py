@@ -1,0 +1,511 @@
+r"""The band along the trimming curves of a face: curvilinear triangles and rectangles that touch the curve.
+
+Every monotone segment has a triangle on its inside, with legs along the parameter lines; a segment that follows a
+parameter line has a rectangle of the wanted depth. Around each vertex p of the curve the legs of its two segments span
+a multiple of a right angle on the inside, and that sector is filled so that every edge leaving p is a full common edge
+of two elements (the rule that makes the functions continuous, NOTES 3.1):
+
+     0   both segments share the leg: the longer one is cut, so that they share all of it
+   -90   a corner of two parameter lines: both are cut so that one rectangle has a side on each
+    90   one rectangle, the product of the two legs
+   180   two rectangles with a common edge of the wanted depth between them
+   270   three rectangles
+
+Segments are cut until no two elements of the band overlap, none leaves its knot interval, and phi of every triangle is
+certified. What remains of the knot intervals is cut into rectangles greedily (`partition`), the best shaped and
+largest first.
+
+Axis letters: s segment, t triangle, r rectangle, d parameter direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from geometry.hybrid.triangle import certified, make_phi, triangle_map
+from geometry.hybrid.trimming import FLAT, Trimming, solve_monotone, split_segments, xi_at
+from iga.errors import InputError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+ROUNDS = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Band of one face.
+
+    Attributes
+    ----------
+    trimming : its segments, cut as the band needs them.
+    segment : (t,) the segment of each triangle; triangles of segments that follow a parameter line do not exist.
+    q0 : (t, 2) right-angle corners.
+    forward : (t,) the segment runs from pa to pb (pa lies along xi from q0).
+    low, high : (r, 2) corners of the rectangles.
+    touching : (r, 4) segments whose start lies at corner (low, low), (low, high), (high, low), (high, high), or -1.
+    along : (r, 4) segment that is the side xi = low, xi = high, eta = low, eta = high, or -1.
+    """
+
+    trimming: Trimming
+    segment: Index
+    q0: Array
+    forward: NDArray[np.bool_]
+    low: Array
+    high: Array
+    touching: Index
+    along: Index
+
+
+@dataclass(frozen=True, eq=False)
+class _Legs:
+    """Leg of each segment at its start and end: directions (s, 2, 2), lengths (s, 2); ``flat`` (s,) has no triangle."""
+
+    way: Array
+    length: Array
+    flat: NDArray[np.bool_]
+    q0: Array
+
+
+def make_band(trimming: Trimming, knots: tuple[Array, Array], depth: float = 0.25, where: str = "face") -> Band:
+    """Band of a face along its trimming curves.
+
+    Parameters
+    ----------
+    trimming : segments cut at knots (`trimming.cut_at_knots`).
+    knots : knot vectors of the surface.
+    depth : wanted depth of rectangles where the curve does not give one, as a share of the knot interval.
+
+    Raises
+    ------
+    InputError : a corner of the face is so sharp that no parameter line enters it, or curves meet.
+    """
+    lines = tuple(np.unique(k) for k in knots)
+    trimming = replace(trimming, plane=trimming.plane.copy())
+    shrink = np.ones(0)
+    for _ in range(ROUNDS):
+        shrink = np.concatenate([shrink, np.ones(len(trimming.next) - len(shrink))])
+        legs = _legs(trimming, lines, depth, shrink)
+        which, at = _unequal(trimming, legs, where)
+        if len(which):
+            trimming, shrink = _cut(trimming, which, at, shrink, lines)
+            continue
+        band = _fill(trimming, legs, lines, depth, shrink, where)
+        phi = make_phi(band.q0, _oriented(band))
+        bad = band.segment[~certified(phi)]
+        if len(bad) == 0:
+            bad, flat = _overlapping(band, phi, legs)
+            shrink[flat] *= 0.5
+            if len(bad) == 0 and len(flat) == 0:
+                return band
+        bad = np.unique(bad)
+        trimming, shrink = _cut(trimming, bad, np.full(len(bad), 0.5), shrink, lines)
+        if len(trimming.next) > 20_000:
+            break
+    raise InputError(f"{where}: its trimming curves meet, or are so close that no band fits between them")
+
+
+def _cut(
+    trimming: Trimming, which: Index, at: Array, shrink: Array, lines: tuple[Array, ...]
+) -> tuple[Trimming, Array]:
+    inherited = np.concatenate([shrink, shrink[which]])
+    return split_segments(trimming, which, at), inherited
+
+
+def _oriented(band: Band) -> Array:
+    """Control points (t, 4, 2) of the segments from pa to pb."""
+    curve = band.trimming.plane[band.segment]
+    return np.where(band.forward[:, None, None], curve, curve[:, ::-1])
+
+
+def _legs(trimming: Trimming, lines: tuple[Array, ...], depth: float, shrink: Array) -> _Legs:
+    start, end = trimming.plane[:, 0], trimming.plane[:, 3]
+    step = end - start
+    reach = np.array([FLAT * (x[-1] - x[0]) for x in lines])
+    small = np.ptp(trimming.plane, axis=1) <= 100 * reach
+    flat = small.any(axis=1)
+    if (small.all(axis=1)).any():
+        raise InputError("a trimming curve has a segment without length")
+    sign = np.sign(step)
+    same = sign[:, 0] * sign[:, 1] > 0  # then q0 = (xi of start, eta of end)
+    q0 = np.where(same[:, None], np.stack([start[:, 0], end[:, 1]], 1), np.stack([end[:, 0], start[:, 1]], 1))
+    way = np.stack([q0 - start, q0 - end], axis=1)
+    length = np.abs(way).sum(axis=2)
+    way = np.sign(np.where(np.abs(way) > 10 * reach, way, 0.0))
+    for s in np.flatnonzero(flat):
+        d = int(np.argmax(np.abs(step[s])))
+        normal = np.zeros(2)
+        normal[1 - d] = sign[s, d] if d == 0 else -sign[s, d]
+        way[s] = normal
+        length[s] = shrink[s] * _reach(0.5 * (start[s] + end[s]), normal, lines, depth)
+    return _Legs(way, length, flat, q0)
+
+
+def _reach(p: Array, way: Array, lines: tuple[Array, ...], depth: float) -> float:
+    """``depth`` of the knot interval, or all there is to the next knot line, from p along a parameter direction."""
+    d = int(np.argmax(np.abs(way)))
+    x = lines[d]
+    forward = way[d] > 0
+    tiny = 10 * FLAT * (x[-1] - x[0])
+    ahead = x[x > p[d] + tiny] if forward else x[x < p[d] - tiny]
+    if len(ahead) == 0:
+        return 0.0
+    border = ahead[0] if forward else ahead[-1]
+    i = np.searchsorted(x, 0.5 * (p[d] + border)) - 1
+    return float(min(abs(border - p[d]), depth * (x[i + 1] - x[i])))
+
+
+def _quarter(a: Array, b: Array) -> int:
+    """Right angles from direction a counter-clockwise to b."""
+    names = {(1, 0): 0, (0, 1): 1, (-1, 0): 2, (0, -1): 3}
+    x, y = (names[int(v[0]), int(v[1])] for v in (a, b))
+    return (y - x) % 4
+
+
+def _tangent(control: Array, at_end: bool) -> Array:
+    points = control[::-1] if at_end else control
+    for k in (1, 2, 3):
+        step = points[k] - points[0]
+        if np.abs(step).max() > 1e-12 * (np.abs(control).max() + 1e-300):
+            return np.asarray(step / np.linalg.norm(step))
+    return np.array([1.0, 0.0])
+
+
+def _sector(trimming: Trimming, legs: _Legs, s: int, where: str) -> int:
+    """Right angles between the legs at the vertex where segment s ends, on the inside; -1 at a corner of two lines."""
+    t = int(trimming.next[s])
+    first, second = legs.way[t, 0], legs.way[s, 1]
+    out, back = _tangent(trimming.plane[t], False), _tangent(trimming.plane[s], True)
+    inside = np.arctan2(out[0] * back[1] - out[1] * back[0], out @ back) % (2 * np.pi)
+    if inside < 1e-6:
+        inside = 2 * np.pi
+
+    def turn(a: Array, b: Array) -> float:
+        return float(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b))
+
+    gap = (inside - max(turn(out, first), 0.0) - max(turn(second, back), 0.0)) / (0.5 * np.pi)
+    k = round(gap)
+    if k == -1 and legs.flat[s] and legs.flat[t]:
+        return -1
+    if k < 0 or k % 4 != _quarter(first, second) or k > 3:
+        p = trimming.plane[t, 0]
+        raise InputError(
+            f"{where}: the corner at (u, v) = ({p[0]:.6g}, {p[1]:.6g}) is so sharp that no parameter line enters it"
+        )
+    return k
+
+
+def _unequal(trimming: Trimming, legs: _Legs, where: str) -> tuple[Index, Array]:
+    """Segments to cut because the leg that they share with a neighbour is longer, and where."""
+    cuts: dict[int, float] = {}
+    for s, t in enumerate(trimming.next.tolist()):
+        k = _sector(trimming, legs, s, where)
+        if k < 0:
+            _square(trimming, legs, s, t, cuts)
+        if k != 0:
+            continue
+        mine, other = legs.length[s, 1], legs.length[t, 0]
+        if abs(mine - other) <= 1e-14 * max(mine, other):
+            continue
+        longer, place = (s, 1) if mine > other else (t, 0)
+        if abs(mine - other) <= 1e-9 * max(mine, other) and not legs.flat[longer]:
+            _snap(trimming, legs, longer, place, min(mine, other))
+            continue
+        if longer in cuts:
+            continue
+        if legs.flat[longer]:
+            legs.length[longer] = min(mine, other)
+            continue
+        way = legs.way[longer, place]
+        d = int(np.argmax(np.abs(way)))
+        end = trimming.plane[longer, 3 if place else 0]
+        target = end[d] + way[d] * min(mine, other)
+        cuts[longer] = solve_monotone(trimming.plane[longer, :, d], float(target))
+    which = np.array(sorted(cuts), dtype=np.int64)
+    return which, np.array([cuts[s] for s in which.tolist()])
+
+
+def _snap(trimming: Trimming, legs: _Legs, s: int, place: int, length: float) -> None:
+    """Move the far end of segment s in place so that its leg has the length of its neighbour's exactly."""
+    way = legs.way[s, place]
+    d = int(np.argmax(np.abs(way)))
+    target = trimming.plane[s, 3 if place else 0, d] + way[d] * length
+    if place:
+        trimming.plane[s, 0, d] = target
+        trimming.plane[trimming.next == s, 3, d] = target
+    else:
+        trimming.plane[s, 3, d] = target
+        trimming.plane[trimming.next[s], 0, d] = target
+    legs.q0[s, d] = target
+    legs.length[s, place] = length
+
+
+def _square(trimming: Trimming, legs: _Legs, s: int, t: int, cuts: dict[int, float]) -> None:
+    """At a corner of two parameter lines, make the last piece of s as long as t's rectangle is deep, and the like."""
+    for piece, other, at_end in ((s, t, True), (t, s, False)):
+        wanted = legs.length[other, 0]
+        have = float(np.abs(trimming.plane[piece, 3] - trimming.plane[piece, 0]).max())
+        if have < wanted * (1.0 - 1e-9):
+            legs.length[other] = have
+        elif have > wanted * (1.0 + 1e-9) and piece not in cuts:
+            d = int(np.argmax(np.abs(trimming.plane[piece, 3] - trimming.plane[piece, 0])))
+            end = trimming.plane[piece, 3 if at_end else 0, d]
+            way = np.sign(trimming.plane[piece, 0 if at_end else 3, d] - end)
+            cuts[piece] = solve_monotone(trimming.plane[piece, :, d], float(end + way * wanted))
+
+
+def _fill(
+    trimming: Trimming, legs: _Legs, lines: tuple[Array, ...], depth: float, shrink: Array, where: str
+) -> Band:
+    """Triangles, rectangles along flat segments, and rectangles around the vertices."""
+    curved = np.flatnonzero(~legs.flat)
+    along_xi = np.abs(legs.way[curved, 0, 0]) > 0  # the leg at the segment's start runs along xi: it starts at pa
+    rectangles: list[tuple[Array, Array, Index, Index]] = []
+
+    def add(p: Array, x: Array, y: Array, starts: list[int], sides: tuple[int, ...] = ()) -> None:
+        corners = np.array([p, p + x, p + y, p + x + y])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        touch, along = np.full(4, -1), np.full(4, -1)
+        for t in starts:
+            at = trimming.plane[t, 0]
+            touch[2 * int(at[0] > 0.5 * (low[0] + high[0])) + int(at[1] > 0.5 * (low[1] + high[1]))] = t
+        for side in sides:
+            middle = 0.5 * (trimming.plane[side, 0] + trimming.plane[side, 3])
+            d = int(np.argmin(np.abs(trimming.plane[side, 3] - trimming.plane[side, 0])))
+            along[2 * d + int(middle[d] > 0.5 * (low[d] + high[d]))] = side
+        rectangles.append((low, high, touch, along))
+
+    squares = {s: int(trimming.next[s]) for s in np.flatnonzero(legs.flat).tolist()
+               if _sector(trimming, legs, s, where) < 0}
+    for s in np.flatnonzero(legs.flat).tolist():
+        if s in squares.values():
+            continue
+        start, end = trimming.plane[s, 0], trimming.plane[s, 3]
+        t = int(trimming.next[s])
+        if s in squares:
+            add(start, end - start, trimming.plane[t, 3] - trimming.plane[t, 0], [s, t, int(trimming.next[t])], (s, t))
+        else:
+            add(start, end - start, legs.way[s, 0] * legs.length[s, 0], [s, t], (s,))
+    for s, t in enumerate(trimming.next.tolist()):
+        k = _sector(trimming, legs, s, where)
+        if k <= 0:
+            continue
+        p = trimming.plane[t, 0]
+        spokes = [legs.way[t, 0] * legs.length[t, 0]]
+        way = legs.way[t, 0]
+        for _ in range(k - 1):
+            way = np.array([-way[1], way[0]])
+            # No deeper than the legs are long: a narrow band, and no slivers.
+            deep = min(_reach(p, way, lines, depth), max(legs.length[s, 1], legs.length[t, 0]))
+            spokes.append(way * deep * min(shrink[s], shrink[t]))
+        spokes.append(legs.way[s, 1] * legs.length[s, 1])
+        for a, b in pairwise(spokes):
+            add(p, a, b, [t])
+    low, high, touch, along = (np.array([r[i] for r in rectangles]) for i in range(4))
+    return Band(
+        trimming, curved, legs.q0[curved], along_xi, low.reshape(-1, 2), high.reshape(-1, 2),
+        touch.reshape(-1, 4).astype(np.int64), along.reshape(-1, 4).astype(np.int64),
+    )  # fmt: skip
+
+
+_PROBES = np.array([(i / 8, j / 8) for i in range(9) for j in range(9 - i)])
+_PROBES = (1.0 - 3e-4) * _PROBES + 1e-4
+
+
+def _overlapping(band: Band, phi: Array, legs: _Legs) -> tuple[Index, Index]:
+    """Segments to cut and flat segments to make shallower, because elements of the band overlap."""
+    n = len(band.segment)
+    inside = triangle_map(phi, _PROBES)
+    boxes = np.concatenate([
+        np.stack([phi.min(axis=1), phi.max(axis=1)], axis=1), np.stack([band.low, band.high], axis=1)
+    ])
+    tiny = 1e-9 * np.ptp(boxes.reshape(-1, 2), axis=0)
+    owners: list[list[int]] = [[int(s)] for s in band.segment]
+    for touch, along in zip(band.touching, band.along):
+        starts = [int(t) for t in touch if t >= 0]
+        owners.append([int(a) for a in along if a >= 0] or [
+            *starts, *(int(s) for t in starts for s in np.flatnonzero(band.trimming.next == t))
+        ])
+    order = np.argsort(boxes[:, 0, 0])
+    bad: set[int] = set()
+    for i, a in enumerate(order.tolist()):
+        for b in order[i + 1 :].tolist():
+            if boxes[b, 0, 0] >= boxes[a, 1, 0] - tiny[0]:
+                break
+            if boxes[b, 0, 1] >= boxes[a, 1, 1] - tiny[1] or boxes[a, 0, 1] >= boxes[b, 1, 1] - tiny[1]:
+                continue
+            if _meet(band, boxes, n, a, b, inside):
+                sizes = [float(np.ptp(boxes[e], axis=0).max()) for e in (a, b)]
+                for e in (a, b):
+                    if sizes[0 if e == a else 1] >= 0.5 * max(sizes):
+                        bad |= set(owners[e])
+    bad |= _behind(band, boxes[:n])
+    found = np.array(sorted(bad), dtype=np.int64)
+    return found[~legs.flat[found]] if len(found) else found, found[legs.flat[found]] if len(found) else found
+
+
+def _meet(band: Band, boxes: Array, n: int, a: int, b: int, inside: Array) -> bool:
+    """Whether two elements whose boxes overlap do so themselves; exact but for two triangles, which are probed."""
+    if a >= n and b >= n:
+        return True
+    if a < n and b < n:
+        return _holds(band, boxes, a, inside[b]) or _holds(band, boxes, b, inside[a])
+    triangle = a if a < n else b
+    # A triangle holds with any point the box from there to q0: its point nearest to q0 decides for a rectangle.
+    low, high = np.maximum(boxes[a, 0], boxes[b, 0]), np.minimum(boxes[a, 1], boxes[b, 1])
+    nearest = np.clip(band.q0[triangle], low, high)
+    nearest = nearest + 1e-6 * (0.5 * (low + high) - nearest)
+    return _holds(band, boxes, triangle, nearest[None])
+
+
+def _behind(band: Band, boxes: Array) -> set[int]:
+    """Segments of triangles whose box holds a part of another curve: what lies behind must not be met."""
+    s = np.linspace(0.0, 1.0, 9)
+    B = np.stack([(1 - s) ** 3, 3 * s * (1 - s) ** 2, 3 * s**2 * (1 - s), s**3], axis=1)
+    curves = np.einsum("kj,sjc->skc", B, band.trimming.plane)
+    bad: set[int] = set()
+    for segment, (low, high) in zip(band.segment.tolist(), boxes):
+        tiny = 1e-7 * (high - low)
+        hit = ((curves > low + tiny) & (curves < high - tiny)).all(axis=2).any(axis=1)
+        hit[[segment, band.trimming.next[segment]]] = False
+        hit[band.trimming.next == segment] = False
+        if hit.any():
+            bad.add(segment)
+    return bad
+
+
+def _holds(band: Band, boxes: Array, element: int, points: Array) -> bool:
+    """Whether a triangle holds one of the points inside."""
+    low, high = boxes[element]
+    tiny = 1e-9 * (high - low)
+    within = ((points > low + tiny) & (points < high - tiny)).all(axis=1)
+    if not within.any():
+        return False
+    segment, q0 = int(band.segment[element]), band.q0[element]
+    p = points[within]
+    xi = xi_at(band.trimming.plane, np.full(len(p), segment), np.ascontiguousarray(p[:, 1]))
+    return bool(((p[:, 0] - q0[0]) * (xi - p[:, 0]) > 1e-9 * (high[0] - low[0]) ** 2).any())
+
+
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """Rectangles outside the band where the face keeps its B-spline surface.
+
+    Attributes
+    ----------
+    low, high : (r, 2) corners.
+    whole : (r,) the rectangle is a whole knot interval.
+    """
+
+    low: Array
+    high: Array
+    whole: NDArray[np.bool_]
+
+
+def partition(band: Band, knots: tuple[Array, Array], keep: Partition | None = None) -> Partition:
+    """Cut what the band leaves of the trimmed knot intervals into rectangles, and list the interior ones whole.
+
+    In each interval the lines of the band's corners make a grid; the rectangle of free cells with the largest area
+    times squared ratio of sides is taken, until none is left (greedy: the best partition is NP-hard to find).
+
+    Parameters
+    ----------
+    keep : a coarser partition; no rectangle then reaches across the border of one of its rectangles.
+    """
+    old = np.zeros((0, 2, 2)) if keep is None else np.stack([keep.low, keep.high], axis=1)[~keep.whole]
+    lines = tuple(np.unique(k) for k in knots)
+    phi = make_phi(band.q0, _oriented(band))
+    boxes = np.concatenate([
+        np.stack([phi.min(axis=1), phi.max(axis=1)], axis=1), np.stack([band.low, band.high], axis=1)
+    ])
+    low, high, whole = [], [], []
+    for i in range(len(lines[0]) - 1):
+        for j in range(len(lines[1]) - 1):
+            corner = np.array([lines[0][i], lines[1][j]])
+            end = np.array([lines[0][i + 1], lines[1][j + 1]])
+            tiny = 1e-9 * (end - corner)
+            mine = ((boxes[:, 0] < end - tiny) & (boxes[:, 1] > corner + tiny)).all(axis=1)
+            if not mine.any():
+                met = ((old[:, 0] < end - tiny) & (old[:, 1] > corner + tiny)).all(axis=1)
+                if _inside(band.trimming, 0.5 * (corner + end)) and not met.any():
+                    low.append(corner)
+                    high.append(end)
+                    whole.append(True)
+                    continue
+                if not met.any():
+                    continue
+            for a, b in _greedy(band, boxes[mine], corner, end, old):
+                low.append(a)
+                high.append(b)
+                whole.append(False)
+    shape = (-1, 2)
+    return Partition(np.array(low).reshape(shape), np.array(high).reshape(shape), np.array(whole, dtype=bool))
+
+
+def _greedy(band: Band, boxes: Array, corner: Array, end: Array, old: Array) -> list[tuple[Array, Array]]:
+    lines = []
+    for d in range(2):
+        marks = np.concatenate([[corner[d], end[d]], boxes[:, :, d].ravel(), old[:, :, d].ravel()])
+        x = np.unique(np.clip(marks, corner[d], end[d]))
+        keep = np.concatenate([[True], np.diff(x) > 1e-9 * (end[d] - corner[d])])
+        x = x[keep]
+        x[-1] = end[d]
+        lines.append(x)
+    middle = np.stack(np.meshgrid(*(0.5 * (x[1:] + x[:-1]) for x in lines), indexing="ij"), axis=-1)
+    covered = ((middle[:, :, None] > boxes[:, 0]) & (middle[:, :, None] < boxes[:, 1])).all(axis=-1).any(axis=-1)
+    free = np.array(~covered)
+    for i, j in np.argwhere(free):
+        free[i, j] = _inside(band.trimming, middle[i, j])
+    label = np.full(free.shape, -1)
+    for number, (a, b) in enumerate(old):
+        label[((middle > a) & (middle < b)).all(axis=-1)] = number
+    made = []
+    while free.any():
+        i0, i1, j0, j1 = _best(free, label, lines[0], lines[1])
+        free[i0:i1, j0:j1] = False
+        made.append((np.array([lines[0][i0], lines[1][j0]]), np.array([lines[0][i1], lines[1][j1]])))
+    return made
+
+
+@njit(cache=True)
+def _best(free: Any, label: Any, x: Any, y: Any) -> Any:
+    """Rows and columns of the best rectangle of free cells with one label."""
+    best = -1.0
+    chosen = (0, 0, 0, 0)
+    for i in range(free.shape[0]):
+        for j in range(free.shape[1]):
+            if not free[i, j]:
+                continue
+            widest = free.shape[1]
+            for k in range(i, free.shape[0]):
+                run = j
+                while run < widest and free[k, run] and label[k, run] == label[i, j]:
+                    run += 1
+                if run == j:
+                    break
+                widest = run
+                a, b = x[k + 1] - x[i], y[widest] - y[j]
+                score = a * b * (min(a, b) / max(a, b)) ** 2
+                if score > best * (1.0 + 1e-12):
+                    best, chosen = score, (i, k + 1, j, widest)
+    return chosen
+
+
+def _inside(trimming: Trimming, p: Array) -> bool:
+    """Whether a point lies inside the loops: crossings of the ray towards +xi.
+
+    If all loops are holes, what bounds the face is the rectangle of its surface.
+    """
+    x, y = trimming.plane[:, 0, 0], trimming.plane[:, 0, 1]
+    after = trimming.next
+    holes = int(float(np.sum(x * y[after] - y * x[after])) < 0.0)
+    a, b = trimming.plane[:, 0, 1], trimming.plane[:, 3, 1]
+    crossed = np.flatnonzero((a > p[1]) != (b > p[1]))
+    beyond = xi_at(trimming.plane, crossed, np.full(len(crossed), p[1])) > p[0]
+    return (int(beyond.sum()) + holes) % 2 == 1
