@@ -175,13 +175,17 @@ def octree(
     return grown(blocks, split, grading, equal, limit)
 
 
-def refined(tmesh: TMesh, cells: Index | None = None, equal: bool = True, limit: int = 2_000_000) -> TMesh:
+def refined(
+    tmesh: TMesh, cells: Index | None = None, equal: bool = True, reach: int = 0, limit: int = 2_000_000
+) -> TMesh:
     """Split cells (all by default), and as many more as grading and equal levels on block sides need.
 
     Parameters
     ----------
     cells : numbers, or a boolean mask (c,).
     equal : whether to make the cells equal on both sides of shared block sides.
+    reach : how many neighbours of the cell's size around each, in its block, are split as well.
+    limit : most cells.
 
     Raises
     ------
@@ -193,6 +197,8 @@ def refined(tmesh: TMesh, cells: Index | None = None, equal: bool = True, limit:
     split = list(tmesh.split)
     for level in np.unique(tmesh.level[mask]).tolist():
         own = tmesh.key[mask & (tmesh.level == level)]
+        if reach:
+            own = _around(own, level, tmesh.dim, reach)
         if level == len(split):
             split.append(own)
         else:
@@ -320,10 +326,21 @@ def _near(key: Index, level: int, d: int, g: int) -> Index:
     """Parents of the cells within g cells of the given ones in the same block."""
     block, place = place_of(key, level, d)
     low, high = np.maximum(place - g, 0) >> 1, np.minimum(place + g, (1 << level) - 1) >> 1
-    steps = np.stack(np.meshgrid(*[np.arange(g + 1)] * d, indexing="ij"), axis=-1).reshape(-1, d)
+    return _boxes(block, low, high, level - 1, g + 1)
+
+
+def _around(key: Index, level: int, d: int, reach: int) -> Index:
+    """Cells within some cells of the given ones in the same block, themselves included."""
+    block, place = place_of(key, level, d)
+    last = (1 << level) - 1
+    return _boxes(block, np.maximum(place - reach, 0), np.minimum(place + reach, last), level, 2 * reach + 1)
+
+
+def _boxes(block: Index, low: Index, high: Index, level: int, width: int) -> Index:
+    """Cells from low to high (m, d), which are at most ``width`` in each direction."""
     found = []
-    for step in steps:  # (g + 1)^d, whatever the number of cells
-        found.append(np.unique(key_of(block, np.minimum(low + step, high), level - 1)))
+    for step in np.ndindex(*(width,) * low.shape[1]):  # a fixed number of steps, whatever the number of cells
+        found.append(np.unique(key_of(block, np.minimum(low + np.array(step), high), level)))
     return np.unique(np.concatenate(found))
 
 
