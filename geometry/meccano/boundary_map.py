@@ -202,7 +202,7 @@ def _find(
 
 
 def boundary_map(
-    layout: Layout, limit: float = 1000.0, progress: Progress = QUIET
+    layout: Layout, limit: float = 10000.0, progress: Progress = QUIET
 ) -> tuple[BoundaryMap, dict[str, Any]]:
     """Lay every patch of a division of a surface on its side of the meccano.
 

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from geometry.meccano.blocks import Blocks
 from geometry.meccano.mean_value import mean_value
 from geometry.meccano.paths import Path, loop_of, straight, trace, without_chords
-from geometry.meccano.surface import Surface, area_vectors
+from geometry.meccano.surface import Surface, area_vectors, sharp
 from iga.cells import QUADRILATERAL
 from iga.errors import InputError
 
@@ -34,6 +34,10 @@ Mask = NDArray[np.bool_]
 #: Corners of a side in the order of its orientation, as vertices of the quadrilateral, and their places.
 ROUND = (0, 2, 3, 1)
 SQUARE = QUADRILATERAL.vertices[list(ROUND)]
+#: A border that follows creases for this part of its length is left there.
+FOLLOWED = 0.8
+#: How near the middle, in radii of the polygon, a corner of the surface attracts a corner of the patches.
+NEAR = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,12 +180,13 @@ def _split_chords(layout: Layout, region: Mask) -> tuple[Layout, Mask]:
 
 
 def straighten_border(layout: Layout, border: tuple[int, int, int, int], cut: bool, rounds: int = 0) -> Layout:
-    """Let a border follow the middle line of its two patches.
+    """Let a border follow the middle line of its two patches, or a crease near it.
 
     Parameters
     ----------
     border : an entry of `borders`.
-    cut : run straight through triangles; otherwise along edges that there are, nearly straight.
+    cut : run straight through triangles, unless most of the border follows creases; otherwise along edges that there
+        are, nearly straight.
     rounds : of reweighting, see `mean_value`.
     """
     a, b, f, g = border
@@ -201,11 +206,19 @@ def straighten_border(layout: Layout, border: tuple[int, int, int, int], cut: bo
     targets = polygon(layout.surface.points, loop, marks, corners)
     places = _plane(layout, region, loop, targets, rounds)
     start, end = int(layout.corner[a]), int(layout.corner[b])
-    if cut:
+    path = trace(layout.surface, start, end, region, places=places, creases=True)
+    if cut and _share_of_creases(path) < FOLLOWED:
         path = straight(layout.surface, region, places, start, end)
-    else:
-        path = trace(layout.surface, start, end, region, places=places)
     return with_border(layout, path, f, g)
+
+
+def _share_of_creases(path: Path) -> float:
+    """Part of a path's length that runs along creases."""
+    surface, size = path.surface, len(path.surface.points)
+    ends = np.sort(np.stack([path.vertices[:-1], path.vertices[1:]], axis=1), axis=1)
+    row = np.searchsorted(surface.edges @ np.array([size, 1]), ends @ np.array([size, 1]))
+    length = np.linalg.norm(surface.points[ends[:, 1]] - surface.points[ends[:, 0]], axis=1)
+    return float(length[sharp(surface)[row]].sum() / length.sum())
 
 
 def centre_corner(layout: Layout, n: int, rounds: int = 0) -> Layout:
@@ -235,7 +248,11 @@ def centre_corner(layout: Layout, n: int, rounds: int = 0) -> Layout:
     targets = polygon(layout.surface.points, loop, marks, np.stack([np.cos(angle), np.sin(angle)], axis=1))
     places = _plane(layout, region, loop, targets, rounds)
     inner = np.setdiff1d(layout.surface.triangles[region], loop)
-    centre = int(inner[np.argmin((places[inner] ** 2).sum(axis=1))])
+    # Near the middle a corner of the surface, where three creases meet, is better than the middle itself.
+    distance = (places[inner] ** 2).sum(axis=1)
+    corners_there = np.bincount(layout.surface.edges[sharp(layout.surface)].ravel(), minlength=len(places))[inner] > 2
+    distance = np.where(corners_there & (distance < NEAR**2), distance - NEAR**2, distance)
+    centre = int(inner[np.argmin(distance)])
     surface, side = layout.surface, layout.side
     walls = np.zeros((0, 2), dtype=np.int64)
     for n_spoke in spokes:

@@ -2,8 +2,9 @@
 
 Eight corners are chosen, extreme points in the diagonal directions of the surface's principal axes. A closed path
 through all of them (a Hamiltonian cycle of the cube) divides the surface into two disks; two more paths divide each
-into three patches. So any eight distinct vertices lead to a division with the cube's graph. It is then made straight
-and even (see `layout`). Of the cube's six cycles the one with the shortest paths is taken.
+into three patches. So any eight distinct vertices lead to a division with the cube's graph. Of the cube's six cycles
+the one with the shortest paths is taken. The division is then made straight and even (see `layout`); of all stages of that the
+one whose map has the best angles and areas is kept.
 
 Axis letters: v vertex, t triangle, n corner of the cube.
 """
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.meccano.blocks import Blocks, cube
+from geometry.meccano.boundary_map import BoundaryMap, boundary_map
 from geometry.meccano.layout import (
     Layout,
     borders,
@@ -28,8 +30,9 @@ from geometry.meccano.layout import (
     straighten_border,
     with_border,
 )
+from geometry.meccano.mean_value import signed_areas
 from geometry.meccano.paths import refined, trace
-from geometry.meccano.surface import Surface, area_vectors, genus
+from geometry.meccano.surface import Surface, area_vectors, checked_surface, genus
 from iga.cells import HEXAHEDRON
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
@@ -39,12 +42,16 @@ Index = NDArray[np.int64]
 
 #: Coarser surfaces are refined first, so that there are vertices and edges enough to choose from.
 LEAST_TRIANGLES = 3000
+#: Larger surfaces are simplified to find the corners.
+MOST_TRIANGLES = 8000
+#: What an octree level costs when divisions are compared.
+LEVEL = 0.05
 #: Rounds of reweighting in the steps that move corners and borders; without any, limbs draw patches together.
 REWEIGHTING = 2
 
 
 def partition(
-    surface: Surface, corners: Array | None = None, labels: Index | None = None, rounds: int = 3,
+    surface: Surface, corners: Array | None = None, labels: Index | None = None, rounds: int = 4,
     progress: Progress = QUIET,
 ) -> Layout:
     """Divide a surface into six patches.
@@ -69,23 +76,91 @@ def partition(
         check(layout)
         return layout
     surface, _ = refined(surface, LEAST_TRIANGLES)
-    chosen = _extremes(surface) if corners is None else _nearest(surface, np.asarray(corners, dtype=float))
-    layout = _connected(surface, blocks, chosen)
-    order = borders(blocks)
-    for _ in progress.track(range(rounds), "patches"):
-        if corners is None:
-            for n in range(8):
-                layout = centre_corner(layout, n, REWEIGHTING)
-        for border in order:
-            layout = straighten_border(layout, border, cut=False, rounds=REWEIGHTING)
-    for border in progress.track(order, "borders"):
-        layout = straighten_border(layout, border, cut=True, rounds=REWEIGHTING)
+    if corners is None:
+        layout = _found(surface, blocks, rounds, progress)
+    else:
+        layout = _connected(surface, blocks, _nearest(surface, np.asarray(corners, dtype=float)))
+        layout = _straightened(layout, False)
+    layout = _straightened(_straightened(layout, False), True)
     check(layout)
     return layout
 
 
-def _extremes(surface: Surface) -> Index:
-    """Distinct vertices (8,) that lie farthest in the diagonal directions of the box of principal axes."""
+def _straightened(layout: Layout, cut: bool) -> Layout:
+    for border in borders(layout.blocks):
+        layout = straighten_border(layout, border, cut, REWEIGHTING)
+    return layout
+
+
+def _found(surface: Surface, blocks: Blocks, rounds: int, progress: Progress) -> Layout:
+    """Best of the divisions from two choices of corners, after each round of moving them to the middle.
+
+    Large surfaces are simplified first, and the corners carried over.
+    """
+    coarse = _simplified(surface)
+    best: tuple[float, Layout] | None = None
+    reason = ""
+    for turn, k in progress.track([(turn, k) for turn in (False, True) for k in range(rounds + 1)], "patches"):
+        try:
+            if k == 0:
+                layout = _connected(coarse, blocks, _extremes(coarse, turn))
+            else:
+                for n in range(8):
+                    layout = centre_corner(layout, n, REWEIGHTING)
+            layout = _straightened(layout, False)
+            price = _price(boundary_map(layout)[0])
+        except InputError as error:
+            reason = str(error)
+            continue
+        if best is None or price < best[0]:
+            best = price, layout
+    if best is None:
+        raise InputError(f"the surface could not be divided by itself, give corners or labels: {reason}")
+    layout = best[1]
+    if coarse is surface:
+        return layout
+    return _straightened(_connected(surface, blocks, _nearest(surface, layout.surface.points[layout.corner])), False)
+
+
+def _simplified(surface: Surface) -> Surface:
+    """A surface of at most `MOST_TRIANGLES` near the given one; that one itself if it is small or resists."""
+    if len(surface.triangles) <= MOST_TRIANGLES:
+        return surface
+    import pyvista
+
+    mesh = pyvista.PolyData.from_regular_faces(surface.points, surface.triangles.astype(int))
+    share = 1 - MOST_TRIANGLES / len(surface.triangles)
+    less = mesh.decimate_pro(share, preserve_topology=True, boundary_vertex_deletion=False)
+    try:
+        made, _ = checked_surface(np.asarray(less.points, dtype=float), np.asarray(less.regular_faces), crossings=True)
+    except InputError:
+        return surface
+    return made if genus(made) == genus(surface) else surface
+
+
+def _price(mapping: BoundaryMap) -> float:
+    """How far a map is from one with right angles and even areas, in the mean over the surface.
+
+    The angle between the lines of s counts as 1 / sin - 1, an octree level of area as `LEVEL`.
+    """
+    surface = mapping.surface
+    space = surface.points[surface.triangles]
+    plane = mapping.parameters
+    area = np.linalg.norm(area_vectors(surface), axis=1)
+    flat = signed_areas(plane)
+    edges = np.stack([plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 0]], axis=2)
+    slopes = np.stack([space[:, 1] - space[:, 0], space[:, 2] - space[:, 0]], axis=2) @ np.linalg.inv(edges)
+    lengths = np.linalg.norm(slopes, axis=1)
+    sine = area / flat / (lengths[:, 0] * lengths[:, 1])
+    levels = np.abs(np.log2(6 * area / (flat * area.sum()))) / 2
+    return float(area @ (LEVEL * levels + 1.0 / np.clip(sine, 1e-6, 1.0) - 1.0) / area.sum())
+
+
+def _extremes(surface: Surface, turn: bool = False) -> Index:
+    """Distinct vertices (8,) that lie farthest in the diagonal directions of the box of principal axes.
+
+    The box may be turned by an eighth about its longest axis.
+    """
     areas = np.linalg.norm(area_vectors(surface), axis=1)
     middles = surface.points[surface.triangles].mean(axis=1)
     centre = areas @ middles / areas.sum()
@@ -94,6 +169,8 @@ def _extremes(surface: Surface) -> Index:
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     local = (surface.points - centre) @ axes
     local = 2 * (local - local.min(axis=0)) / np.ptp(local, axis=0) - 1
+    if turn:
+        local[:, :2] = np.stack([local[:, 0] - local[:, 1], local[:, 0] + local[:, 1]], axis=1) / np.sqrt(2)
     chosen: list[int] = []
     for direction in 2 * HEXAHEDRON.vertices - 1:
         height = local @ direction

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from geometry.meccano.surface import Surface
+from geometry.meccano.surface import Surface, sharp
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -25,6 +25,8 @@ Mask = NDArray[np.bool_]
 
 #: A straight path that crosses an edge closer to its end than this share of its length goes through the end instead.
 SNAP = 0.15
+#: Length of creases, as a part of their true length, for paths that shall follow them.
+EASE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +146,7 @@ def without_chords(surface: Surface, group: Index) -> tuple[Surface, Index]:
 
 def trace(
     surface: Surface, start: int, end: int, inside: Mask | None = None, walls: Index | None = None,
-    places: Array | None = None, avoid: Index | None = None,
+    places: Array | None = None, avoid: Index | None = None, creases: bool = False,
 ) -> Path:
     """Shortest path along edges from one vertex to another.
 
@@ -155,6 +157,7 @@ def trace(
     walls : (w, 2) edges, as pairs of vertices, that the path may not touch.
     places : (v, n) coordinates in which lengths are measured; the points themselves if None.
     avoid : further vertices that the path may not touch but at its ends.
+    creases : let the path rather follow sharp edges of the surface.
 
     Raises
     ------
@@ -187,6 +190,8 @@ def trace(
     usable &= ~(_rim_of_walls(surface, inside))
     ends = surface.edges[usable]
     length = np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=1) + 1e-300
+    if creases:
+        length = np.where(sharp(surface)[usable], EASE * length, length)
     size = len(surface.points)
     graph = csr_array(coo_array((length, (ends[:, 0], ends[:, 1])), shape=(size, size)))
     before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)[1]

@@ -28,6 +28,10 @@ Index = NDArray[np.int64]
 FLAT = 1e-9
 #: Coordinates beyond this are taken for errors; products of three of them must not overflow.
 LARGEST = 1e90
+#: Degrees between the normals at an edge from which on it is a crease.
+CREASE = 40.0
+#: There are creases if they are this much longer than the edges at which the surface turns by a fourth of that or more.
+CLEAN = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +99,21 @@ def area_vectors(surface: Surface) -> Array:
     """Normals (t, 3) as long as the triangles' areas."""
     corners = surface.points[surface.triangles]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0
+
+
+def sharp(surface: Surface) -> NDArray[np.bool_]:
+    """Whether each edge (k,) is a crease, where the surface turns by more than `CREASE` degrees.
+
+    On surfaces that turn almost as much at many other edges (scans, coarse meshes of round solids) none is.
+    """
+    normal = area_vectors(surface)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    one, two = surface.beside.T
+    cosine = (normal[one] * normal[two]).sum(axis=1)
+    crease = cosine < np.cos(np.radians(CREASE))
+    bent = (cosine < np.cos(np.radians(CREASE / 4))) & ~crease
+    length = np.linalg.norm(surface.points[surface.edges[:, 1]] - surface.points[surface.edges[:, 0]], axis=1)
+    return np.asarray(crease & (length[crease].sum() > CLEAN * length[bent].sum()))
 
 
 def checked_surface(points: Array, triangles: Index, crossings: bool = False) -> tuple[Surface, dict[str, Any]]:
