@@ -3,8 +3,8 @@
 Eight corners are chosen, extreme points in the diagonal directions of the surface's principal axes. A closed path
 through all of them (a Hamiltonian cycle of the cube) divides the surface into two disks; two more paths divide each
 into three patches. So any eight distinct vertices lead to a division with the cube's graph. Of the cube's six cycles
-the one with the shortest paths is taken. The division is then made straight and even (see `layout`); of all stages of that the
-one whose map has the best angles and areas is kept.
+the one with the shortest paths is taken. The division is then made straight and even (see `layout`); of all stages of
+that the one whose map has the best angles and areas is kept.
 
 Axis letters: v vertex, t triangle, n corner of the cube.
 """
