@@ -31,6 +31,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
+REWEIGHTING = 1  # rounds of widening what is small in the disk, so that patches are even
+
+
 @dataclass(frozen=True, eq=False)
 class Drawing:
     """A frame drawn on a surface.
@@ -168,7 +171,7 @@ def _star(
     for j, (a, b) in enumerate(zip(posts, [*posts[1:], len(loop)], strict=True)):
         share = _chord_share(points[np.append(loop, loop[0])[a : b + 1]])
         angles[a:b] = np.pi / len(cycle) * (j + share[:-1])
-    places = mean_value(points, local, loop, np.stack((np.cos(angles), np.sin(angles)), axis=1))
+    places = mean_value(points, local, loop, np.stack((np.cos(angles), np.sin(angles)), axis=1), REWEIGHTING)
     if (_doubled(places[local]) <= 0).any():
         return None
 

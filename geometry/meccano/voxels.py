@@ -8,7 +8,8 @@ Single voxels then join or leave as long as that mends the topology, and afterwa
 
     sum over voxels of (share left out + share taken in from outside) + lambda (faces) / 6
 
-without changing the topology. The coarsest set that leaves little of the solid out is taken.
+without changing the topology. Of the sets that lie in space as the solid does (`isotopy`), the coarsest with little
+volume between it and the solid is taken.
 
 The boundary of a set of voxels is a manifold if and only if at every grid point the voxels of the set are
 connected through faces among the eight around it, and so are the others. Then it has twice as many edges as faces,
@@ -28,6 +29,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from geometry.meccano.isotopy import deforms
 from geometry.meccano.surface import Surface, area_vectors, genus, volume
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
@@ -39,6 +41,7 @@ Flags = NDArray[np.bool_]
 LINES = 6  # lines per voxel and direction along which the inside is measured
 THRESHOLDS = (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # first sets: voxels with more than this share inside
 SMOOTHING = 0.1  # lambda / 6
+FINE = 60  # fine voxels along the longest axis, on which the place of handles is judged
 COARSEST, FINEST = 3.0, 14.0  # voxels along the solid's longest axis
 
 
@@ -179,25 +182,36 @@ def _on_grids(
     points = surface.points @ rotation.T
     low, high = points.min(axis=0), points.max(axis=0)
     spacing = float((high - low).max()) / number
-    shape = np.ceil((high - low) / spacing).astype(np.int64) + 3
+    ni, nj, nk = (int(n) for n in np.ceil((high - low) / spacing) + 3)
+    shape = (ni, nj, nk)
     smooth = _smooth_points()
-    best, result = np.inf, None
+    found: dict[Any, tuple[float, float, int, Array, Flags]] = {}
     for shift in np.ndindex(2, 2, 2):
-        origin = (low + high - spacing * (shape - np.array(shift))) / 2
-        share = shares(surface, rotation, origin, spacing, (int(shape[0]), int(shape[1]), int(shape[2])))
+        origin = (low + high - spacing * (np.array(shape) - shift)) / 2
+        share = shares(surface, rotation, origin, spacing, shape)
         for threshold in THRESHOLDS:
             inside = np.zeros(shape, dtype=bool)
             inside[1:-1, 1:-1, 1:-1] = share[1:-1, 1:-1, 1:-1] > threshold
             defects, energy, faces = _relax(inside, share, smooth, handles, SMOOTHING)
-            if defects or energy + SMOOTHING * faces >= best:
-                continue
-            best = energy + SMOOTHING * faces
+            if defects == 0:
+                key = (*shift, inside.tobytes())
+                found[key] = energy + SMOOTHING * faces, energy, faces, origin, inside
+    for _, energy, faces, origin, inside in sorted(found.values(), key=lambda one: one[0]):
+        if handles == 0 or _lies_like(surface, rotation, origin, spacing, inside):
             mismatch = energy * spacing**3 / size
             report = {
                 "voxels": int(inside.sum()), "boundary_sides": int(faces), "resolution": number, "mismatch": mismatch,
             }
-            result = mismatch, Voxels(np.argwhere(inside), rotation, origin, np.full(3, spacing)), report
-    return result
+            return mismatch, Voxels(np.argwhere(inside), rotation, origin, np.full(3, spacing)), report
+    return None
+
+
+def _lies_like(surface: Surface, rotation: Array, origin: Array, spacing: float, inside: Flags) -> bool:
+    """Whether voxels lie in space as the solid does, judged on a grid a few times finer."""
+    times = int(np.ceil(FINE / max(inside.shape)))
+    shape = (inside.shape[0] * times, inside.shape[1] * times, inside.shape[2] * times)
+    solid = shares(surface, rotation, origin, spacing / times, shape) > 0.5
+    return deforms(solid, np.kron(inside, np.ones((times, times, times), dtype=bool)))
 
 
 def orientation(surface: Surface, trials: int = 400, seed: int = 7) -> Array:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from geometry.meccano.blocks import polycube
 from geometry.meccano.boundary_map import on_surface
 from geometry.meccano.frame import frame_of
+from geometry.meccano.isotopy import deforms
 from geometry.meccano.layout import borders, check, round_corners
 from geometry.meccano.mean_value import flipped
 from geometry.meccano.overlay import Curve, join, overlay, split, spread
@@ -101,6 +102,22 @@ def test_topology_agrees_with_the_blocks(bits: list[bool]) -> None:
         assert found.faces == len(frame.sides)
         if found.outsides == 1:
             assert found.genus == frame.genus
+
+
+def test_voxels_deform_only_into_voxels_that_lie_alike() -> None:
+    fine = np.ones((4, 4, 4), dtype=bool)
+    frame = np.kron(np.pad(ring(2), ((1, 1), (1, 1), (1, 1))), fine)
+    shifted = np.roll(frame, (1, 2, 0), axis=(0, 1, 2))
+    assert deforms(frame, shifted)
+    filled = np.kron(np.pad(np.ones((5, 3, 1), dtype=bool), 1), fine)
+    assert not deforms(frame, filled)
+    # The same genus with a hole in another place.
+    one = np.kron(np.pad(ring(3), 1), fine)
+    other = one.copy()
+    one[8:12, 8:12, 4:8] = True
+    other[16:20, 8:12, 4:8] = True
+    assert topology(one).genus == topology(other).genus == 2
+    assert not deforms(one, other)
 
 
 def test_shares_of_a_box_are_exact() -> None:
