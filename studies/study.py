@@ -32,6 +32,8 @@ STUDIES: dict[str, str] = {
         "elasticity_benchmarks",
         "catmull_clark_interpolation",
         "catmull_clark_convergence",
+        "hybrid_error",
+        "hybrid_refinement",
     )
 } | {"bench_cube": "bench_table"}
 BASELINES = Path(__file__).parent / "baselines"

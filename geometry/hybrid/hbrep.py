@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from geometry.hybrid.band import Band, Partition, make_band, partition
 from geometry.hybrid.brep import Face, surface_frame, surface_points
-from geometry.hybrid.triangle import CURVE, Phi, Psi, make_phi, selection
+from geometry.hybrid.triangle import CURVE, Phi, Psi, make_phi, selection, triangle_map
 from geometry.hybrid.trimming import Trimming, cut_at_knots, trim_face
 from geometry.knots import apply, bisected, blossom, elevation, evaluation, find_spans, insertion
 from geometry.patch import Patch
@@ -358,3 +358,51 @@ def _triangle_area(face: HybridFace, surface: Patch) -> float:
     det = np.abs(J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0])
     _, du, dv = surface_frame(surface, uv.reshape(-1, 2))
     return float(np.einsum("q,eq,eq->", weight, det, np.linalg.norm(np.cross(du, dv), axis=1).reshape(det.shape)))
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleError:
+    """Distances at equal parameters between curvilinear triangles (t,) and their surface, and what they cover.
+
+    Attributes
+    ----------
+    largest, curve : on each triangle, and on its trimming edge.
+    area : in the parameter plane.
+    uv : (t, 2) where the largest distance is.
+    """
+
+    largest: Array
+    curve: Array
+    area: Array
+    uv: Array
+
+
+def triangle_error(
+    surface: Patch, trimming: Trimming, phi: Phi = "blend", psi: Psi = "selection", samples: int = 24
+) -> TriangleError:
+    """Measure the triangles of all segments that do not follow a parameter line, without building a band."""
+    start, end = trimming.plane[:, 0], trimming.plane[:, 3]
+    step = end - start
+    curved = np.abs(step).min(axis=1) > 1e-9 * np.abs(step).max(axis=1)
+    start, end, step = start[curved], end[curved], step[curved]
+    if not curved.any():
+        return TriangleError(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2)))
+    rising = step[:, 0] * step[:, 1] > 0
+    q0 = np.where(rising[:, None], np.stack([start[:, 0], end[:, 1]], 1), np.stack([end[:, 0], start[:, 1]], 1))
+    forward = ~rising  # the leg at the start runs along xi: the segment begins at pa
+    plane, space = (np.where(forward[:, None, None], c[curved], c[curved][:, ::-1]) for c in (trimming.plane,
+                                                                                             trimming.space))
+    maps = make_phi(q0, plane, phi)
+    A, dofs = tensor_rows(surface.knots, q0, np.stack([plane[:, 0, 0], plane[:, 3, 1]], axis=1))
+    control = np.einsum("enb,enc->ebc", A @ selection(maps, psi), surface.control.reshape(-1, 3)[dofs])
+    control[:, CURVE] = space
+    ab = np.array([(i, j) for i in range(samples + 1) for j in range(samples + 1 - i)]) / samples
+    uv, x = triangle_map(maps, ab), triangle_map(control, ab)
+    apart = np.linalg.norm(x - surface_points(surface, uv.reshape(-1, 2)).reshape(x.shape), axis=-1)
+    # Area of the region between the legs and the segment, by Green's formula on the cubic.
+    P = plane - q0[:, None]
+    moments = np.array([[0, 0.3, 0.15, 0.05], [-0.3, 0, 0.15, 0.15], [-0.15, -0.15, 0, 0.3], [-0.05, -0.15, -0.3, 0]])
+    area = np.abs(np.einsum("ti,ij,tj->t", P[:, :, 0], moments, P[:, :, 1]))
+    on = np.abs(ab.sum(axis=1) - 1.0) < 1e-12
+    rows = np.arange(len(apart))
+    return TriangleError(apart.max(axis=1), apart[:, on].max(axis=1), area, uv[rows, apart.argmax(axis=1)])
