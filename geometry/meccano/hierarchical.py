@@ -422,5 +422,6 @@ def _irregular(
     order = np.argsort(cell)
     element[cell[order], 0] = number
     element[cell[order], 1] = np.arange(len(cell))
-    extraction = Patterns(np.concatenate(operators), np.concatenate(patterns)[order])
-    return Block(basis, np.concatenate(dofs)[order], extraction)
+    C = np.concatenate(operators)
+    shown, kind = distinct(C.reshape(len(C), -1))  # levels that look alike share patterns
+    return Block(basis, np.concatenate(dofs)[order], Patterns(C[shown], kind[np.concatenate(patterns)[order]]))
