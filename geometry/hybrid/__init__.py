@@ -2,5 +2,7 @@
 
 from geometry.hybrid.brep import Brep
 from geometry.hybrid.cad import read_cad
+from geometry.hybrid.settings import Settings
+from geometry.hybrid.source import build, domain_of, name, reads, refine
 
-__all__ = ["Brep", "read_cad"]
+__all__ = ["Brep", "Settings", "build", "domain_of", "name", "read_cad", "reads", "refine"]

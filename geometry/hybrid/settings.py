@@ -1,0 +1,65 @@
+"""Settings of the source "hybrid", from texts or Python values; `source` says what they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from iga.errors import InputError
+
+NAME = "hybrid"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of a build; see `source`."""
+
+    solid: int | None = None
+    degree: int = 3
+    size: float = 0.2
+    tolerance: float = 2e-5
+    layers: int = 0
+    subdivide: int | None = None
+    limit: float = 300.0
+
+
+_RANGES: dict[str, tuple[float, float]] = {
+    "solid": (0, 10**6), "degree": (3, 8), "size": (1e-4, 1.0), "tolerance": (1e-10, 0.1), "layers": (0, 20),
+    "subdivide": (0, 4), "limit": (1.0, 1e6),
+}
+
+
+def parse(parameters: Mapping[str, Any]) -> Settings:
+    """Settings from parameters as a command line gives them (texts) or as Python values.
+
+    Raises
+    ------
+    InputError : unknown parameter or value.
+    """
+    unknown = sorted(set(parameters) - set(Settings.__dataclass_fields__))
+    if unknown:
+        there = ", ".join(Settings.__dataclass_fields__)
+        raise InputError(f"the source {NAME} has no parameter {unknown[0]!r}; there are: {there}")
+    made: dict[str, Any] = {}
+    for key, value in parameters.items():
+        if (key == "subdivide" and str(value) == "auto") or (key == "solid" and value is None):
+            made[key] = None
+        elif key in ("size", "tolerance", "limit"):
+            made[key] = _number(value, key)
+        else:
+            number = _number(value, key)
+            if number != int(number):
+                raise InputError(f"{key} must be a whole number, not {value!r}")
+            made[key] = int(number)
+        low, high = _RANGES[key]
+        if made[key] is not None and not low <= made[key] <= high:
+            raise InputError(f"{key} must lie between {low:g} and {high:g}, not {value!r}")
+    return Settings(**made)
+
+
+def _number(value: Any, key: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{key} must be a number, not {value!r}") from None
