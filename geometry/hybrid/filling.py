@@ -58,6 +58,9 @@ def fill(points: Array, triangles: Index, limit: float = LIMIT, grading: float =
             reasons.append(f"{name} {answer}")
             continue
         filled, tets = answer
+        if not len(tets):
+            reasons.append(f"{name} made no tetrahedra")
+            continue
         volumes = signed_volumes(filled, tets)
         if volumes.sum() < 0:
             tets = tets[:, [1, 0, 2, 3]]
@@ -77,8 +80,6 @@ def signed_volumes(points: Array, tets: Index) -> Array:
 
 def fault(points: Array, triangles: Index, filled: Array, tets: Index, volumes: Array) -> str | None:
     """What is wrong with a filling, or None."""
-    if not len(tets):
-        return "made no tetrahedra"
     if len(filled) < len(points) or not np.array_equal(filled[: len(points)], points):
         return "moved points of the surface"
     faces = np.sort(tets[:, _FACES].reshape(-1, 3), axis=1)
