@@ -20,13 +20,14 @@ class Settings:
     size: float = 0.2
     tolerance: float = 2e-5
     layers: int = 0
+    omega: float = 0.5
     subdivide: int | None = None
     limit: float = 300.0
 
 
 _RANGES: dict[str, tuple[float, float]] = {
     "solid": (0, 10**6), "degree": (3, 8), "size": (1e-4, 1.0), "tolerance": (1e-10, 0.1), "layers": (0, 20),
-    "subdivide": (0, 4), "limit": (1.0, 1e6),
+    "omega": (0.01, 0.95), "subdivide": (0, 4), "limit": (1.0, 1e6),
 }
 
 
@@ -45,7 +46,7 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     for key, value in parameters.items():
         if (key == "subdivide" and str(value) == "auto") or (key == "solid" and value is None):
             made[key] = None
-        elif key in ("size", "tolerance", "limit"):
+        elif key in ("size", "tolerance", "omega", "limit"):
             made[key] = _number(value, key)
         else:
             number = _number(value, key)

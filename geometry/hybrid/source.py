@@ -4,9 +4,12 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
     degree      3 (default) or more: degrees above three are added to the cubic volume
     size        largest element of the skin, relative to the diagonal (default 0.2)
     tolerance   wanted distance of the skin to the CAD surfaces, relative to the diagonal (default 2e-5)
-    layers      spline layers under the skin; 0 (default): pyramids and tetrahedra alone
-    subdivide   how often the skin's elements are cut in four before the volume is filled; "auto" (default): 0, then 1
-                if elements are left that are not certified
+    layers      layers of control points under the skin, 3 at least; 0 (default): pyramids and tetrahedra alone. Where
+                layers cannot be made valid they are dropped, and the report says so
+    omega       share of the way to the mid-structure that layers take (default 0.5)
+    subdivide   how often the skin's elements are cut in four before the volume is filled; "auto" (default): once if
+                the skin has few elements, which would leave next to no vertex inside the solid, and once more if
+                elements are left that are not certified
     limit       seconds after which a mesh generator is stopped (default 300)
 
 The input is a STEP or IGES file, or the name of a shape (`shapes`). Boundaries carry the names of the CAD faces.
@@ -20,6 +23,7 @@ from typing import Any
 from geometry.hybrid import refinement
 from geometry.hybrid.brep import Brep
 from geometry.hybrid.cad import cad_format, read_cad
+from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.settings import NAME, Settings, parse
 from geometry.hybrid.shapes import SHAPES
 from geometry.hybrid.shell import Shell, shell_of
@@ -31,6 +35,8 @@ from iga.errors import InputError
 from iga.progress import QUIET, Progress, progress
 
 name = NAME
+FEW = 400
+"""Elements of a skin below which ``subdivide="auto"`` cuts them."""
 
 
 def reads(path: str | Path) -> bool:
@@ -65,8 +71,6 @@ def domain_of(brep: Brep, settings: Settings | None = None, source: str = "", sh
     source : name of the input, for the provenance and messages.
     """
     settings = settings or Settings()
-    if settings.layers:
-        raise InputError(f"layers={settings.layers}: only layers=0 exists so far")
     skin = build_skin(brep, settings.size, settings.tolerance, source, shown)
     if skin.report.get("crossings") or skin.report.get("folded"):
         raise InputError(
@@ -89,28 +93,39 @@ def domain_of(brep: Brep, settings: Settings | None = None, source: str = "", sh
 def volume_under(
     shell: Shell, settings: Settings, source: str, provenance: Provenance, shown: Progress = QUIET
 ) -> Domain:
-    """Volume under a shell, its elements cut as often as it takes, once at most."""
-    for _ in range(settings.subdivide or 0):
+    """Volume under a shell, its elements cut as often as the settings say, or once more where that is left open and
+    elements are not certified.
+    """
+    count = sum(block.elements for block in shell.space.blocks)
+    times = settings.subdivide if settings.subdivide is not None else int(count < FEW)
+    for _ in range(times):
         shell = subdivided(shell)
+    first = _attempt(shell, settings, source, provenance, shown)
+    if (isinstance(first, Domain) and not first.report["not_certified"]) or settings.subdivide is not None:
+        return _told(first, times)
+    second = _attempt(subdivided(shell), settings, source, provenance, shown)
+    if isinstance(second, Domain) and (
+        not isinstance(first, Domain) or second.report["not_certified"] < first.report["not_certified"]
+    ):
+        return _told(second, times + 1)
+    return _told(first, times)
+
+
+def _attempt(
+    shell: Shell, settings: Settings, source: str, provenance: Provenance, shown: Progress
+) -> Domain | InputError:
     try:
-        domain = complete(shell, provenance, settings.limit, shown=shown)
+        if settings.layers:
+            return complete_with_layers(shell, settings.layers, settings.omega, provenance, settings.limit, shown)
+        return complete(shell, provenance, settings.limit, shown=shown)
     except InputError as error:
-        if settings.subdivide is not None:
-            raise InputError(f"{source}: {error}") from error
-        first: Domain | InputError = error
-    else:
-        if settings.subdivide is not None or not domain.report["not_certified"]:
-            return with_report(domain, subdivided=settings.subdivide or 0)
-        first = domain
-    try:
-        second = complete(subdivided(shell), provenance, settings.limit, shown=shown)
-    except InputError as error:
-        if isinstance(first, InputError):
-            raise InputError(f"{source}: {first}") from error
-        return with_report(first, subdivided=0)
-    if isinstance(first, Domain) and first.report["not_certified"] <= second.report["not_certified"]:
-        return with_report(first, subdivided=0)
-    return with_report(second, subdivided=1)
+        return InputError(f"{source}: {error}")
+
+
+def _told(made: Domain | InputError, times: int) -> Domain:
+    if isinstance(made, InputError):
+        raise made
+    return with_report(made, subdivided=times)
 
 
 def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
