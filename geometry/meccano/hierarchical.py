@@ -78,7 +78,9 @@ class Hierarchy:
 def hierarchy(tmesh: TMesh, degree: int = 3) -> Hierarchy:
     """Truncated hierarchical splines on a T-mesh.
 
-    Few functions act on each element if the mesh is graded with ``grading=degree`` (`tmesh.octree`).
+    Few functions act on each element if the mesh is graded with ``grading=degree`` (`tmesh.octree`); less grading has
+    fewer cells. Cubics on the nodes of a bunny, in seven blocks: gradings 1, 2, 3 give 2121, 5432, 11025 cells with
+    103, 79, 72 functions on an element on average, and at most 161, 102, 86 of at most 9, 3, 2 levels.
 
     Raises
     ------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,9 @@ from iga.chunk import Chunk, facet_chunks
 from iga.conditions import DependentTracesError, dirichlet
 from iga.domain import Domain, Space, check
 from iga.errors import InputError
+from iga.exchange.bext import read_bext, write_bext
+from iga.exchange.export import write_vtu
+from iga.store import load, save
 from problems.manufactured import solve_exact
 from tests.geometry.meccano_shapes import polycube, ring, seven
 
@@ -231,6 +235,15 @@ def test_analysis_on_t_splines() -> None:
     assert solution.log["weak"]
     assert solution.norms is not None
     assert solution.norms.h1 < 1e-8
+
+
+def test_files_keep_the_quotient(tmp_path: Path) -> None:
+    domain = solid(t_spline(uniform(cube(), 1)))
+    save(domain, tmp_path / "solid.npz")
+    for again in (read_bext(write_bext(tmp_path / "solid.bext", domain)), load(tmp_path / "solid.npz")):
+        check(again)
+        assert volume(again) == pytest.approx(volume(domain), rel=1e-12)
+    assert write_vtu(tmp_path / "solid.vtu", domain).is_file()
 
 
 def test_certificate_sees_the_quotient() -> None:
