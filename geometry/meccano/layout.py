@@ -221,8 +221,8 @@ def _share_of_creases(path: Path) -> float:
     return float(length[sharp(surface)[row]].sum() / length.sum())
 
 
-def centre_corner(layout: Layout, n: int, rounds: int = 0) -> Layout:
-    """Move a corner to the middle of the patches around it, and lead its borders straight there.
+def centre_corner(layout: Layout, n: int, rounds: int = 0, step: float = 1.0) -> Layout:
+    """Move a corner towards the middle of the patches around it, by a part of the way, and lead its borders there.
 
     Borders follow edges that there are.
     """
@@ -249,7 +249,7 @@ def centre_corner(layout: Layout, n: int, rounds: int = 0) -> Layout:
     places = _plane(layout, region, loop, targets, rounds)
     inner = np.setdiff1d(layout.surface.triangles[region], loop)
     # Near the middle a corner of the surface, where three creases meet, is better than the middle itself.
-    distance = (places[inner] ** 2).sum(axis=1)
+    distance = ((places[inner] - (1 - step) * places[layout.corner[n]]) ** 2).sum(axis=1)
     corners_there = np.bincount(layout.surface.edges[sharp(layout.surface)].ravel(), minlength=len(places))[inner] > 2
     distance = np.where(corners_there & (distance < NEAR**2), distance - NEAR**2, distance)
     centre = int(inner[np.argmin(distance)])

@@ -44,6 +44,8 @@ Index = NDArray[np.int64]
 LEAST_TRIANGLES = 3000
 #: Larger surfaces are simplified to find the corners.
 MOST_TRIANGLES = 8000
+#: Part of the way to the middle that corners move in a round.
+STEP = 0.5
 #: What an octree level costs when divisions are compared.
 LEVEL = 0.05
 #: Rounds of reweighting in the steps that move corners and borders; without any, limbs draw patches together.
@@ -51,7 +53,7 @@ REWEIGHTING = 2
 
 
 def partition(
-    surface: Surface, corners: Array | None = None, labels: Index | None = None, rounds: int = 4,
+    surface: Surface, corners: Array | None = None, labels: Index | None = None, rounds: int = 3,
     progress: Progress = QUIET,
 ) -> Layout:
     """Divide a surface into six patches.
@@ -81,7 +83,7 @@ def partition(
     else:
         layout = _connected(surface, blocks, _nearest(surface, np.asarray(corners, dtype=float)))
         layout = _straightened(layout, False)
-    layout = _straightened(_straightened(layout, False), True)
+    layout = _straightened(layout, True)
     check(layout)
     return layout
 
@@ -106,7 +108,7 @@ def _found(surface: Surface, blocks: Blocks, rounds: int, progress: Progress) ->
                 layout = _connected(coarse, blocks, _extremes(coarse, turn))
             else:
                 for n in range(8):
-                    layout = centre_corner(layout, n, REWEIGHTING)
+                    layout = centre_corner(layout, n, REWEIGHTING, STEP)
             layout = _straightened(layout, False)
             price = _price(boundary_map(layout)[0])
         except InputError as error:
