@@ -75,7 +75,7 @@ def parametrise(
     levels : uniform bisections before adapting; d of them halve the cells.
     stages : number of tolerances, each 8 times smaller than the one before.
     sweeps : most sweeps of relocation in a stage.
-    rescues : most rounds that bisect what is still inverted and relocate again.
+    rescues : most rounds that bisect what is still inverted and relocate again, as long as that helps.
     most : most simplices.
 
     Returns
@@ -104,9 +104,12 @@ def parametrise(
             break
         begin = perf_counter()
         sigma = mean_ratios(mesh.tets, ideal_gradients(picture(mesh)), nodes)[0]
-        mesh = refine(mesh, sigma <= 0.0, most)[0]
-        mesh, distance = adapt(mesh, onto, tolerance, measure, most)
-        nodes, stage = _settle(mesh, onto, nodes, sweeps, tolerance, distance, begin)
+        finer = refine(mesh, sigma <= 0.0, most)[0]
+        finer, distance = adapt(finer, onto, tolerance, measure, most)
+        moved, stage = _settle(finer, onto, nodes, sweeps, tolerance, distance, begin)
+        if stage.after >= made[-1].after:
+            break
+        mesh, nodes = finer, moved
         made.append(stage)
     tets, places = oriented(mesh)
     return Parametrisation(blocks, tets, mesh.block, places, nodes), made
