@@ -34,6 +34,7 @@ STUDIES: dict[str, str] = {
         "catmull_clark_convergence",
         "hybrid_error",
         "hybrid_refinement",
+        "meccano_square",
     )
 } | {"bench_cube": "bench_table"}
 BASELINES = Path(__file__).parent / "baselines"

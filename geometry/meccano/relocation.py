@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 EPSILON = 1e-3
+EPSILONS = (1e-3, 1e-1, 1e-2)
+PATIENCE = 8
 
 
 def ideal_gradients(ideal: Array) -> Array:
@@ -81,7 +83,7 @@ class Relocated:
 
     Attributes
     ----------
-    nodes : (n, d) positions.
+    nodes : (n, d) positions with the fewest inverted simplices.
     inverted : (sweeps + 1,) inverted simplices before the first and after each sweep.
     moves : (sweeps,) largest move of a node, relative to the mean length of the edges at it.
     quality : shapes at the end.
@@ -95,9 +97,13 @@ class Relocated:
 
 def relocate(
     tets: Index, gradients: Array, nodes: Array, free: NDArray[np.bool_], sweeps: int = 20, power: float = 2.0,
-    epsilon: float = EPSILON, tolerance: float = 1e-2, newton: int = 3,
+    epsilons: tuple[float, ...] = EPSILONS, tolerance: float = 1e-2, newton: int = 3,
 ) -> Relocated:
     """Move free nodes one after the other, sweep after sweep, until they rest.
+
+    While simplices are inverted, the epsilons take turns: the next one's turn comes when the number of inverted
+    simplices has not fallen for ``PATIENCE`` sweeps. The smallest does best on nearly all solids, larger ones where it
+    is stuck. Valid meshes are smoothed with the smallest.
 
     Parameters
     ----------
@@ -107,9 +113,9 @@ def relocate(
     free : (n,) nodes that may move.
     sweeps : most sweeps.
     power : exponent p of the norm.
-    epsilon : see above.
+    epsilons : see above and the module docstring.
     tolerance : a sweep in which no node moves by more than this part of the edges at it is the last one, unless
-        simplices are inverted and their number falls.
+        simplices are inverted.
     newton : most Newton steps at one node.
     """
     nodes = np.array(nodes, dtype=float)
@@ -117,13 +123,20 @@ def relocate(
     order = np.flatnonzero(free & (np.diff(start) > 0))
     inverted = [quality(tets, gradients, nodes).inverted]
     moves: list[float] = []
+    best, least, since, turn = nodes.copy(), inverted[0], 0, 0
     for step in range(sweeps if len(order) else 0):
-        turn = order if step % 2 == 0 else order[::-1].copy()
-        moves.append(float(sweep(nodes, tets, gradients, start, around, turn, power, epsilon, newton)))
+        epsilon = epsilons[turn % len(epsilons)] if inverted[-1] else min(epsilons)
+        way = order if step % 2 == 0 else order[::-1].copy()
+        moves.append(float(sweep(nodes, tets, gradients, start, around, way, power, epsilon, newton)))
         inverted.append(quality(tets, gradients, nodes).inverted)
-        if moves[-1] < tolerance and not 0 < inverted[-1] < inverted[-2]:
+        since += 1
+        if inverted[-1] < least or not inverted[-1]:
+            best, least, since = nodes.copy(), inverted[-1], 0
+        if moves[-1] < tolerance and not inverted[-1]:
             break
-    return Relocated(nodes, np.array(inverted), np.array(moves), quality(tets, gradients, nodes))
+        if since == PATIENCE:
+            turn, since = turn + 1, 0
+    return Relocated(best, np.array(inverted), np.array(moves), quality(tets, gradients, best))
 
 
 def relocate_globally(
@@ -132,8 +145,9 @@ def relocate_globally(
 ) -> Relocated:
     """Move all free nodes at once: L-BFGS on sum_m eta^p with one delta for the mesh, which falls from round to round.
 
-    Slower than `relocate` and, where the mesh can be untangled only in places, worse: one bad simplex sets delta for
-    all. Arguments as there; ``evaluations`` bounds each round.
+    In the plane and on small meshes it untangles in a few rounds. On large meshes of solids `relocate` is faster and
+    leaves fewer simplices inverted: here the worst one sets delta for all. Arguments as there; ``evaluations`` bounds
+    each round, and epsilon starts from 0.1.
     """
     nodes = np.array(nodes, dtype=float)
     rows = np.flatnonzero(free)

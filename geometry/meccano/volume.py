@@ -23,7 +23,14 @@ from geometry.meccano.adaptation import Measure, Onto, adapt, boundary_nodes
 from geometry.meccano.bisection import BisectedMesh, coloured, kuhn, oriented, picture, place_new, refine, refine_all
 from geometry.meccano.blocks import Blocks
 from geometry.meccano.parametrisation import Parametrisation
-from geometry.meccano.relocation import ideal_gradients, mean_ratios, quality, relocate
+from geometry.meccano.relocation import (
+    Relocated,
+    ideal_gradients,
+    mean_ratios,
+    quality,
+    relocate,
+    relocate_globally,
+)
 from iga.progress import QUIET, Progress
 
 Array = NDArray[np.float64]
@@ -129,8 +136,10 @@ def _settle(
     if nodes is not None:
         starts.append(np.where(free[:, None], place_new(mesh, nodes), fixed))
     starts.sort(key=lambda start: quality(mesh.tets, gradients, start).inverted)
-    tries = []
+    tries: list[Relocated] = []
     for start in starts:
+        if mesh.blocks.dim == 2:  # all at once first: node by node gets stuck at re-entrant corners
+            start = relocate_globally(mesh.tets, gradients, start, free).nodes
         tries.append(relocate(mesh.tets, gradients, start, free, sweeps))
         if tries[-1].quality.inverted == 0:
             break
