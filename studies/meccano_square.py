@@ -111,7 +111,7 @@ def run(size: Size, progress: Progress) -> Result:
         })
     summary = (
         f"The paper's two T-meshes fold {rows[0]['negative']:.2%} and {rows[1]['negative']:.2%} of the square; "
-        f"splitting folded cells again leaves {rows[-2]['negative']:.2%}. Pillowed, it folds {rows[-1]['negative']:.2%}."
+        f"splitting folded cells leaves {rows[-2]['negative']:.2%}. Pillowed, it folds {rows[-1]['negative']:.2%}."
     )
     shown = [models[0], models[1], models[-1]]
     return Result(table(NAME, COLUMNS, rows), (Figure("figure_4", lambda path: _draw(path, shown), summary),), summary)
