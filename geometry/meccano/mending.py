@@ -1,7 +1,8 @@
 """Mend small defects of a surface triangulation with VTK: doubled points, degenerate triangles, holes, orientation.
 
-Shapes are changed only where something was wrong: points are merged when they are equal to rounding, holes are
-closed when their circumscribed circle is smaller than a stated part of the diagonal.
+Shapes are changed only where something was wrong: points that are equal to rounding are merged if the surface is open
+or has degenerate triangles, holes are closed when their circumscribed circle is smaller than a stated part of the
+diagonal.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.meccano.surface import degenerate
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -32,13 +34,17 @@ def mended(points: Array, triangles: Index) -> tuple[Array, Index, dict[str, Any
 
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     mesh = pyvista.PolyData.from_regular_faces(points, triangles.astype(int))
-    clean = mesh.clean(tolerance=SAME * diagonal, absolute=True, lines_to_points=False, polys_to_lines=False)
-    clean = _triangles_only(clean)
-    before = clean.n_faces_strict
+    # Where nothing is open, equal points may be meant to be apart.
+    ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    is_open = (np.unique(ends[:, 0] * len(points) + ends[:, 1], return_counts=True)[1] == 1).any()
+    if is_open or degenerate(points, triangles).any():
+        mesh = mesh.clean(tolerance=SAME * diagonal, absolute=True, lines_to_points=False, polys_to_lines=False)
+    clean = _triangles_only(mesh)
+    before = clean.n_faces
     if not before:
         raise InputError("nothing is left of the surface after mending")
     closed = clean.fill_holes(LARGEST_HOLE * diagonal).triangulate()
-    filled = closed.n_faces_strict - before
+    filled = closed.n_faces - before
     whole = closed.compute_normals(
         cell_normals=True, point_normals=False, consistent_normals=True, auto_orient_normals=True, split_vertices=False,
         non_manifold_traversal=False,

@@ -100,7 +100,8 @@ def read_surface(
             points, triangles = _split_fans(points, triangles)
         surface, found = checked_surface(points, triangles, crossings)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        said = str(error).replace(" or build with mend=true", " by hand, mending did not do it") if mend else str(error)
+        raise InputError(f"{path}: {said}") from None
     return surface, report | found
 
 
