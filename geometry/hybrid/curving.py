@@ -14,6 +14,7 @@ Axis letters: b Bernstein function, e element, c component.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -34,6 +35,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+LIMIT = 120.0
+"""Seconds after which the displacement is no longer tried in smaller steps."""
 SIZE = 1.0
 """Weight of size against shape."""
 SMALLEST = 1.0 / 8.0
@@ -91,7 +94,9 @@ def unfold(
     return untangle(domain, free, shapes, rounds=rounds, samples=samples, size=SIZE, shown=shown)
 
 
-def curve(straight: Domain, fixed: Mask, target: Array, rounds: int = 12, shown: Progress = QUIET) -> Curved:
+def curve(
+    straight: Domain, fixed: Mask, target: Array, rounds: int = 12, shown: Progress = QUIET, limit: float = LIMIT
+) -> Curved:
     """Control points of a solid with a curved skin.
 
     The whole displacement is tried at once, then in steps: from a valid solid a small step leaves few elements to mend.
@@ -102,7 +107,9 @@ def curve(straight: Domain, fixed: Mask, target: Array, rounds: int = 12, shown:
     fixed : (n,) functions on the skin.
     target : (n, 3) their control points.
     rounds : most rounds of untangling in each step.
+    limit : seconds after which no further step is tried.
     """
+    end = time.monotonic() + limit
     shift = spread(straight, fixed, target - straight.points)
     points, done, step, steps = straight.points, 0.0, 1.0, 0
     shapes = sized_shapes(straight)
@@ -116,6 +123,8 @@ def curve(straight: Domain, fixed: Mask, target: Array, rounds: int = 12, shown:
         whole = done + step == 1.0
         if whole and (best is None or len(made.invalid) < len(best.invalid)):
             best = Curved(made.points, made.invalid, steps)
+        if best is not None and time.monotonic() > end:
+            break
         if not len(made.invalid):
             points, done = made.points, done + step
             if whole:
