@@ -146,7 +146,7 @@ def _settle(
     done = min(tries, key=lambda made: made.quality.inverted)
     return done.nodes, Stage(
         tolerance, distance, len(fixed), int(free.sum()), len(mesh.tets), int(done.inverted[0]),
-        int(done.inverted[-1]), done.inverted[1:].tolist(), done.quality.least, done.quality.mean,
+        done.quality.inverted, done.inverted[1:].tolist(), done.quality.least, done.quality.mean,
         perf_counter() - begin,
     )
 
