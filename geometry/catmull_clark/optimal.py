@@ -1,16 +1,23 @@
-r"""A second space on the same mesh, of optimal order: splines where the limit is one, free Bezier functions elsewhere.
+r"""A second space on the same mesh, of optimal order: open splines where the limit is one, Bezier functions elsewhere.
 
 Catmull-Clark functions lose order twice: the boundary rule makes every function a natural spline across the boundary
-(second normal derivative zero), and near extraordinary edges the functions reproduce few polynomials. Both sit in
-a zone: cells that touch the boundary, and irregular cells. There this space has the tricubic Bernstein functions
-themselves, C0 between cells. Elsewhere (the core) the B-splines N_v stay, cut off in the zone:
+(second normal derivative zero), and near extraordinary edges the functions reproduce few polynomials.
+
+At the boundary the knots are opened: of the cubic B-splines on a half line with the fourfold end knot,
+
+    N_0 = B_0 + 2/3 B_1,   N_1 = 1/3 B_1 + B_2,   N_i = B_(i+1),
+
+the left sides being the natural ones of the subdivision rule, so one more function per boundary vertex (three on
+creases, seven at corners, as products) contains them and every cubic. `open_splines` has them on the core, the cells
+around which the mesh is a product. The rest, the irregular zone, has the tricubic Bernstein functions themselves, C0
+between cells:
 
     free functions      Bernstein functions of the C0 complex whose point lies on no core cell,
-    spline functions    N_v truncated: only its Bezier coefficients at points on core cells,
+    spline functions    open B-splines truncated: only their Bezier coefficients at points on core cells,
 
 so that all sum to one, all are C0, the core keeps its C2 splines, and on the zone every tricubic polynomial (away from
-its interface) is in the space. Functions are independent: each N_v kept acts on a core cell, where tricubic B-splines
-are independent. Where the core has no cell this is the C0 tricubic space.
+its interface) is in the space. Functions are independent: each spline kept acts on a core cell, where tricubic
+B-splines are independent. Where the core has no cell this is the C0 tricubic space.
 
 The geometry is the limit volume on regular cells and, on irregular cells of the *input* mesh, their tricubic closure:
 it stays fixed under refinement (closures are split by de Casteljau, not subdivided anew). Subdividing them anew would
@@ -18,7 +25,7 @@ keep the shape of the cells around an extraordinary edge self-similar, hence cur
 h^2 in H1; on a fixed map uniform refinement has order h^3 in H1 and h^4 in L2. So spaces are nested up to the zone,
 which gets thinner.
 
-Axis letters: e cell, r Bezier point of the complex, v control point, b Bernstein function.
+Axis letters: e cell, r Bezier point of the complex, n spline function, b Bernstein function, c component.
 """
 
 from __future__ import annotations
@@ -29,14 +36,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
-from geometry.catmull_clark.domain import CUBIC, LINES, boundary_patches
+from geometry.catmull_clark.domain import CUBIC, boundary_patches
 from geometry.catmull_clark.lattice import Rows, bezier_matrix, bezier_rows
-from geometry.catmull_clark.neighbourhood import ROTATIONS, TURNED_FACES, walk
-from geometry.catmull_clark.pieces import pieces_of
+from geometry.catmull_clark.neighbourhood import ROTATIONS, TURNED_FACES
+from geometry.catmull_clark.open_splines import LINES_OPEN, OpenSplines, open_splines
+from geometry.catmull_clark.pieces import SPLIT
 from geometry.catmull_clark.subdivision import subdivide
-from geometry.catmull_clark.topology import INTERIOR, SMOOTH, Topology
+from geometry.catmull_clark.topology import SMOOTH, Topology
 from iga.block import Block, Kronecker, Patterns
 from iga.domain import Domain, Facets, Provenance, Space
 
@@ -44,11 +51,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_HALF = np.array([[8, 0, 0, 0], [4, 4, 0, 0], [2, 4, 2, 0], [1, 3, 3, 1]]) / 8.0
-_HALVES = (_HALF, _HALF[::-1, ::-1])
-_SPLIT = np.stack(
-    [np.kron(np.kron(_HALVES[i], _HALVES[j]), _HALVES[k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-)
 _STRIDE = np.array([16, 4, 1])
 
 
@@ -65,12 +67,6 @@ def _lattice_turns() -> Index:
 
 
 _TURNS = _lattice_turns()
-
-
-def core_cells(topology: Topology, regular: Flags) -> Flags:
-    """Cells that keep their splines: regular ones (ancestors too, ``regular``) without a boundary vertex."""
-    inner = (topology.vertex_kind == INTERIOR)[topology.hexes].all(axis=1)
-    return regular & topology.regular_hexes & inner
 
 
 def build_optimal(
@@ -95,26 +91,22 @@ def build_optimal(
     for _ in range(levels):
         fine, S = subdivide(fine)
         values = S @ values
-        net = (_SPLIT[None] @ net[:, None]).reshape(-1, 64, control.shape[1])
+        net = (SPLIT[None] @ net[:, None]).reshape(-1, 64, control.shape[1])
         regular = np.repeat(regular, 8)
         rows = bezier_rows(fine)
-    core = core_cells(fine, regular)
-    matrix = bezier_matrix(fine, rows, np.flatnonzero(core))
+    splines = open_splines(fine, np.flatnonzero(regular & fine.regular_hexes), values)
     touched = np.zeros(len(rows.kind), dtype=bool)
-    touched[rows.cells[core]] = True
-    spline = np.zeros(fine.vertices, dtype=bool)
-    spline[matrix[np.flatnonzero(touched)].indices] = True
+    touched[rows.cells[splines.cells]] = True
     used = np.zeros(len(rows.kind), dtype=bool)
     used[rows.cells] = True
     free = used & ~touched
-    number_spline = np.cumsum(spline) - 1
-    number_free = int(spline.sum()) + np.cumsum(free) - 1
+    number_free = len(splines.values) + np.cumsum(free) - 1
     coefficients = np.empty((len(rows.kind), control.shape[1]))
     coefficients[rows.cells] = net
-    points = np.concatenate([values[spline], coefficients[free]])
-    blocks, cells = _blocks(fine, rows, matrix, core, touched, number_spline, number_free)
+    points = np.concatenate([splines.values, coefficients[free]])
+    blocks, cells = _blocks(fine, rows, splines, touched, number_free)
     numbers = {
-        "cells": len(fine.hexes), "core_cells": int(core.sum()), "spline_functions": int(spline.sum()),
+        "cells": len(fine.hexes), "core_cells": len(splines.cells), "spline_functions": len(splines.values),
         "free_functions": int(free.sum()), "levels": levels,
     }
     carried = {
@@ -133,7 +125,7 @@ def build_optimal(
 
 
 def _blocks(
-    t: Topology, rows: Rows, matrix: csr_array, core: Flags, touched: Flags, spline: Index, free: Index
+    t: Topology, rows: Rows, splines: OpenSplines, touched: Flags, free: Index
 ) -> tuple[list[Block], list[tuple[Index, Index]]]:
     """Blocks, and for each the cells and the rotation in which they are stored."""
     blocks: list[Block] = []
@@ -143,74 +135,74 @@ def _blocks(
     if len(alone):
         blocks.append(Block(CUBIC, free[rows.cells[alone]], None, alone))
         stored.append((alone, np.zeros(len(alone), dtype=np.int64)))
-    inside = np.flatnonzero(core)
-    if len(inside):
-        dofs, turn = _lattices(t, inside)
-        pattern = np.zeros((len(inside), 3), dtype=np.int64)
-        factor = LINES[False, False][None]
-        blocks.append(Block(CUBIC, spline[dofs], Kronecker((factor,) * 3, pattern), inside))
-        stored.append((inside, turn))
+    if len(splines.cells):
+        extraction = Kronecker((LINES_OPEN,) * 3, splines.pattern)
+        blocks.append(Block(CUBIC, splines.functions, extraction, splines.cells))
+        stored.append((splines.cells, splines.turn))
+    core = np.zeros(len(t.hexes), dtype=bool)
+    core[splines.cells] = True
     mixed = np.flatnonzero(mask.any(axis=1) & ~core)
     if len(mixed):
-        _mixed(t, rows, matrix, mixed, mask, spline, free, blocks, stored)
+        for some, block in _mixed(rows, splines, mixed, mask[mixed], free):
+            blocks.append(block)
+            stored.append((some, np.zeros(len(some), dtype=np.int64)))
     return blocks, stored
 
 
-def _lattices(t: Topology, cells: Index) -> tuple[Index, Index]:
-    """The 64 vertices around core cells in lattice order (e, 64), and the rotation of each cell in that order."""
-    C = pieces_of(t, cells[:1], 0).C[0]
-    line = LINES[False, False]
-    product = np.kron(np.kron(line, line), line)
-    order = np.abs(product[:, None] - C[None]).max(axis=2).argmin(axis=1)
-    parts = list(walk(t, cells))  # core cells have one class
-    vertex = np.concatenate([part.vertex.reshape(-1, 64) for part in parts])
-    return np.ascontiguousarray(vertex[:, order]), np.concatenate([part.rotation for part in parts])
+def _mixed(rows: Rows, splines: OpenSplines, mixed: Index, mask: Flags, free: Index) -> list[tuple[Index, Block]]:
+    """Zone cells that touch the core: some Bernstein functions are free, the others follow the splines.
 
-
-def _mixed(
-    t: Topology, rows: Rows, matrix: csr_array, mixed: Index, mask: Flags, spline: Index, free: Index,
-    blocks: list[Block], stored: list[tuple[Index, Index]],
-) -> None:
-    """Zone cells that touch the core: some Bernstein functions are free, the others follow the splines."""
-    rotation, signature, vertices, count = [], [], [], []
-    for part in walk(t, mixed):
-        turned = np.take_along_axis(mask[part.cells], _TURNS[part.rotation], axis=1)
-        bits = np.packbits(turned, axis=1).view(np.uint64)[:, 0]
-        signature.append(part.signature ^ (bits * np.uint64(0x9E3779B97F4A7C15)))
-        rotation.append(part.rotation)
-        vertices.append(part.vertex)
-        count.append(np.diff(part.start))
-    turn, vertex, size = np.concatenate(rotation), np.concatenate(vertices), np.concatenate(count)
-    start = np.concatenate([[0], np.cumsum(size)[:-1]])
-    _, first, label = np.unique(np.concatenate(signature), return_index=True, return_inverse=True)
-    order = np.argsort(label, kind="stable")
-    members = np.split(order, np.cumsum(np.bincount(label))[:-1])
-    lattice = np.take_along_axis(rows.cells[mixed], _TURNS[turn], axis=1)
-    groups: dict[int, list[tuple[Array, Index, Index]]] = {}
-    place = np.full(t.vertices, -1, dtype=np.int64)
+    Cells whose splines have the same Bezier coefficients share a pattern; functions are ordered by a hash of theirs.
+    """
+    cell, b = np.nonzero(mask)
+    lattice, turned = rows.cells[splines.cells], _TURNS[splines.turn]
+    row, function, value = splines.coefficients(lattice, rows.cells[mixed][mask], turned)
+    cell, b = cell[row], b[row]
+    n = len(splines.values)
+    key = _mix(np.rint(value * 1e9).astype(np.int64).astype(np.uint64) * np.uint64(64) + b.astype(np.uint64))
+    pair, inverse = np.unique(cell * n + function, return_inverse=True)
+    hashed = np.zeros(len(pair), dtype=np.uint64)
+    np.add.at(hashed, inverse, key)
+    owner = pair // n
+    order = np.lexsort((hashed, owner))
+    count = np.bincount(owner, minlength=len(mixed))
+    start = np.concatenate([[0], np.cumsum(count)[:-1]])
+    place = np.empty(len(pair), dtype=np.int64)
+    place[order] = np.arange(len(pair)) - start[owner[order]]
+    slot = place[inverse]  # of each coefficient among the splines of its cell
+    bits = np.packbits(mask, axis=1).view(np.uint64)[:, 0]
+    signature = _mix(bits) ^ np.uint64(0x9E3779B97F4A7C15)
+    np.add.at(signature, cell, _mix(key + _mix(slot.astype(np.uint64))))
+    _, first, label = np.unique(signature, return_index=True, return_inverse=True)
+    made: dict[int, list[tuple[Array, Index, Index]]] = {}
+    by_cell = np.argsort(cell, kind="stable")
+    ends = np.searchsorted(cell[by_cell], np.arange(len(mixed) + 1))
+    members = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
     for k, some in enumerate(members):
         one = int(first[k])
-        around = vertex[start[one] : start[one] + size[one]]
-        place[around] = np.arange(len(around))
-        own = mask[mixed[one]][_TURNS[turn[one]]]
-        table = np.zeros((len(around), 64))
-        part = matrix[lattice[one][own]].tocoo()
-        r, v = part.coords
-        table[place[v], np.flatnonzero(own)[r]] = part.data
-        keep = np.flatnonzero((table != 0.0).any(axis=1))
-        C = np.concatenate([table[keep], np.eye(64)[~own]])
-        dofs = np.concatenate(
-            [spline[vertex[start[some][:, None] + keep]], free[lattice[some][:, ~own]]], axis=1
-        )
-        groups.setdefault(len(C), []).append((C, dofs, some))
-    for n in sorted(groups):
-        parts = groups[n]
+        mine = by_cell[ends[one] : ends[one + 1]]
+        table = np.zeros((count[one], 64))
+        table[slot[mine], b[mine]] = value[mine]
+        own = ~mask[one]
+        C = np.concatenate([table, np.eye(64)[own]])
+        splines_of = pair[order[start[some][:, None] + np.arange(count[one])]] % n
+        dofs = np.concatenate([splines_of, free[rows.cells[mixed[some]][:, own]]], axis=1)
+        made.setdefault(len(C), []).append((C, dofs, some))
+    found = []
+    for size in sorted(made):
+        parts = made[size]
         some = np.concatenate([p[2] for p in parts])
         pattern = np.repeat(np.arange(len(parts)), [len(p[2]) for p in parts])
-        C = np.stack([p[0] for p in parts])
         dofs = np.ascontiguousarray(np.concatenate([p[1] for p in parts]))
-        blocks.append(Block(CUBIC, dofs, Patterns(C, pattern), mixed[some]))
-        stored.append((mixed[some], turn[some]))
+        found.append((mixed[some], Block(CUBIC, dofs, Patterns(np.stack([p[0] for p in parts]), pattern), mixed[some])))
+    return found
+
+
+def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Scramble 64 bits (splitmix64 finaliser)."""
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(x ^ (x >> np.uint64(31)), dtype=np.uint64)
 
 
 def _boundaries(t: Topology, stored: list[tuple[Index, Index]]) -> dict[str, tuple[Facets, ...]]:

@@ -205,6 +205,11 @@ def _join_boxes(boxes: list[Box]) -> list[Box]:
 # Halves of a cubic in Bernstein form by de Casteljau: rows are coefficients of the half.
 _LEFT = np.array([[8, 0, 0, 0], [4, 4, 0, 0], [2, 4, 2, 0], [1, 3, 3, 1]]) / 8.0
 _RIGHT = _LEFT[::-1, ::-1]
+_HALVES = (_LEFT, _RIGHT)
+SPLIT = np.stack(
+    [np.kron(np.kron(_HALVES[i], _HALVES[j]), _HALVES[k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+)
+"""Bezier points of the eight children of a tricubic piece, (8, 64, 64)."""
 
 
 def _continued(first: Array, second: Array, axis: int) -> Array | None:

@@ -22,6 +22,7 @@ class Settings:
     depth: int | None = None
     repair: bool = False
     pillow: bool = False
+    bound: bool = False
     lam: float = 0.25
     mu: float = 0.125
     gamma: float = 0.0625
@@ -46,7 +47,7 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     for key, value in renamed.items():
         if key == "depth":
             made[key] = None if str(value) == "auto" else _whole(value)
-        elif key in ("repair", "pillow"):
+        elif key in ("repair", "pillow", "bound"):
             made[key] = _truth(value, key)
         elif key in ("lam", "mu", "gamma", "relaxation"):
             made[key] = _number(value, "lambda" if key == "lam" else key)

@@ -6,6 +6,7 @@ r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
                   number of pieces and their validity allow
     space         "catmull_clark" (default), or "optimal": see `optimal`
     repair        move control points until every cell is certified (default false)
+    bound         prove how far the closures are from the limit, see `closure` (default false; takes seconds to minutes)
     pillow        put one new layer of cells under the whole boundary first (default false), see `pillowing`
     lambda, mu, gamma    shape parameters of push-back, in (0, 1)
     relaxation    factor of PIA, in (0, 2)
@@ -32,10 +33,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.catmull_clark import interpolation
-from geometry.catmull_clark.domain import CUBIC, build_domain
+from geometry.catmull_clark.closure import closure_distance, measured_distance
+from geometry.catmull_clark.domain import build_domain
 from geometry.catmull_clark.features import smooth_folds, with_features
 from geometry.catmull_clark.interpolation import Interpolation
-from geometry.catmull_clark.lattice import bezier_matrix, bezier_rows, limit_matrix, refinement_rows
+from geometry.catmull_clark.lattice import limit_matrix
 from geometry.catmull_clark.mesh import SUFFIXES, HexMesh, hex_mesh, read_hexes
 from geometry.catmull_clark.optimal import build_optimal
 from geometry.catmull_clark.pillowing import pillow
@@ -55,7 +57,6 @@ name = NAME
 PIECES = 30_000
 """Pieces up to which ``depth="auto"`` subdivides irregular cells."""
 _GROWTH = (1, 8, 20)
-_MEASURED = 120_000
 
 
 def reads(path: str | Path) -> bool:
@@ -121,8 +122,10 @@ def domain_of(mesh: HexMesh, settings: Settings | None = None, source: str = "")
         if not depth or settings.depth is not None or invalid or (certify(domain, 1e9).verdict > 0).all():
             break
         depth -= 1
-    distance = closure_distance(result.topology, domain.points, depth)
-    return domain if distance is None else with_report(domain, closure_distance=distance)
+    if settings.bound:
+        found = closure_distance(result.topology, domain.points, depth)
+        return with_report(domain, closure_distance=found.measured, closure_distance_bound=found.bound)
+    return with_report(domain, closure_distance=measured_distance(result.topology, domain.points, depth))
 
 
 def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
@@ -177,29 +180,6 @@ def stored_topology(domain: Domain) -> Topology:
     creases = np.asarray(arrays["creases"], dtype=np.int64) @ np.array([topology.vertices, 1])
     edge[np.searchsorted(keys, creases)] = CREASE
     return with_kinds(topology, np.asarray(arrays["vertex_kind"], dtype=np.int8), edge, topology.face_kind)
-
-
-def closure_distance(topology: Topology, control: Array, depth: int) -> float | None:
-    """Largest distance between limit and closures, over the diagonal, at the next level's vertices; None if too large.
-
-    Measured where the limit is known exactly: at midpoints of edges, faces and cells of the mesh that is closed.
-    """
-    if len(topology.hexes) * 8.0**depth > _MEASURED:
-        return None
-    size = interpolation.diagonal(control)
-    for _ in range(depth):
-        topology, S = subdivide(topology)
-        control = S @ control
-    irregular = np.flatnonzero(~topology.regular_hexes)
-    if not len(irregular):
-        return 0.0
-    points, places = bezier_rows(topology), refinement_rows(topology)
-    net = (bezier_matrix(topology, points, irregular) @ control)[points.cells[irregular]]
-    grid = np.array(list(np.ndindex(3, 3, 3))) / 2.0
-    closure = CUBIC.tabulate(grid, 0)[0] @ net
-    fine, S = subdivide(topology)
-    limit = (limit_matrix(fine) @ (S @ control))[places.cells[irregular]]
-    return float(np.linalg.norm(closure - limit, axis=2).max()) / size
 
 
 def automatic_depth(topology: Topology) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 import geometry.catmull_clark as source
 from geometry.catmull_clark.mesh import HexMesh, hex_mesh
@@ -11,10 +12,9 @@ from geometry.catmull_clark.settings import Settings
 from geometry.catmull_clark.shapes import box, cross_of_tetrahedra, fan
 from iga.assembly import matrix, vector, volume
 from iga.block import Kronecker
-from iga.chunk import chunks
 from iga.conditions import dirichlet
 from iga.domain import all_facets, check
-from iga.integrands import Diffusion, Load
+from iga.integrands import Diffusion, Load, Mass
 from iga.linear.solvers import solve
 from iga.norms import errors
 from iga.store import load, save
@@ -50,13 +50,47 @@ def test_structure(made: tuple[np.ndarray, np.ndarray], features: str, tmp_path)
         np.testing.assert_allclose((K @ x)[~outer], 0.0, atol=1e-11)
 
 
-def test_the_core_keeps_its_splines() -> None:
-    domain = source.domain_of(_mesh(box(5, 5, 5)), _settings())
-    assert domain.report["core_cells"] == 27
-    assert domain.report["spline_functions"] == 6**3
-    kept = [block for block in domain.space.blocks if isinstance(block.extraction, Kronecker)]
-    assert [block.elements for block in kept] == [27]
-    assert sum(len(chunk.elements) for chunk in chunks(domain)) == 125
+@pytest.mark.parametrize("n", [(5, 5, 5), (1, 2, 3), (4, 3, 1)])
+def test_a_box_has_the_open_tensor_product_splines(n: tuple[int, int, int]) -> None:
+    """Values, gradients and stiffness equal to those of the spline space with fourfold end knots."""
+    domain = source.domain_of(_mesh(box(*n)), _settings())
+    assert domain.report["core_cells"] == np.prod(n)
+    assert domain.report["free_functions"] == 0
+    assert domain.space.n == np.prod([k + 3 for k in n])
+    assert all(isinstance(block.extraction, Kronecker) for block in domain.space.blocks)
+    # The Greville points are the control points: the map is the identity.
+    greville = [np.array([0.0, 1.0 / 3.0, *range(1, k), k - 1.0 / 3.0, float(k)]) for k in n]
+    greville = [g if k > 1 else np.arange(4) / 3.0 for g, k in zip(greville, n)]
+    grid = np.stack(np.meshgrid(*greville, indexing="ij"), axis=-1).reshape(-1, 3)
+    order = np.lexsort(np.round(domain.points, 9).T[::-1])
+    np.testing.assert_allclose(domain.points[order], grid, atol=1e-13)
+    factors = []
+    for k in n:
+        knots = np.concatenate([[0.0] * 3, np.arange(k + 1), [float(k)] * 3])
+        x, w = np.polynomial.legendre.leggauss(4)
+        x = (np.arange(k)[:, None] + 0.5 * (x + 1.0)).ravel()
+        w = np.tile(0.5 * w, k)
+        B = BSpline(knots, np.eye(k + 3), 3)
+        factors.append(((B(x).T * w) @ B(x), (B(x, 1).T * w) @ B(x, 1)))
+    (M0, K0), (M1, K1), (M2, K2) = factors
+    expected = np.kron(np.kron(K0, M1), M2) + np.kron(np.kron(M0, K1), M2) + np.kron(np.kron(M0, M1), K2)
+    K = matrix(domain, Diffusion(1.0), points=4).toarray()[np.ix_(order, order)]
+    np.testing.assert_allclose(K, expected, atol=1e-13)
+
+
+def test_cubics_are_in_the_space_up_to_the_boundary() -> None:
+    domain = source.domain_of(_mesh(box(4, 3, 3)), _settings())
+    exact = lambda x: x[..., 0] ** 3 - 2.0 * x[..., 1] ** 2 * x[..., 2]  # noqa: E731
+    M, f = matrix(domain, Mass(1.0), points=5), vector(domain, Load(exact), points=5)
+    u = np.asarray(solve(M, f)[0])
+    assert errors(domain, u, exact).relative_l2 < 1e-10
+
+
+def test_few_functions_are_free() -> None:
+    """Only the zone around the extraordinary edge of a prism; the rest has two functions per boundary vertex."""
+    domain = source.domain_of(_mesh(fan(5, 4, 4)), _settings())
+    assert domain.report["core_cells"] > 0.5 * domain.report["cells"]
+    assert domain.space.n < 27 * domain.report["cells"] / 2
 
 
 def test_the_two_spaces_share_the_volume() -> None:
