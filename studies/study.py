@@ -32,6 +32,8 @@ STUDIES: dict[str, str] = {
         "elasticity_benchmarks",
         "catmull_clark_interpolation",
         "catmull_clark_convergence",
+        "catmull_clark_material",
+        "catmull_clark_models",
         "hybrid_error",
         "hybrid_refinement",
         "meccano_square",

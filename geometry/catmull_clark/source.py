@@ -16,7 +16,8 @@ r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
 itself fine; where it folds cells that the approximating volume keeps valid, interior control points nearby are moved,
 so that the boundary is interpolated exactly and interior vertices as far as validity allows; a mesh that folds without
 interpolation is left alone. The other settings interpolate every vertex, come what may. ``repair`` does the same
-wherever cells are invalid, with boundary points if interior ones do not suffice.
+wherever cells are invalid; where the interpolating boundary itself folds it is interpolated less, and only if that does
+not suffice are boundary points optimised too.
 
 Refinement is one subdivision step of control points and attributes; the optimal space is built anew on the subdivided
 mesh, over the map of the input mesh.
@@ -41,11 +42,12 @@ from geometry.catmull_clark.lattice import limit_matrix
 from geometry.catmull_clark.mesh import SUFFIXES, HexMesh, hex_mesh, read_hexes
 from geometry.catmull_clark.optimal import build_optimal
 from geometry.catmull_clark.pillowing import pillow
+from geometry.catmull_clark.relaxation import follow, relax
 from geometry.catmull_clark.settings import NAME, Settings, parse
 from geometry.catmull_clark.shapes import SHAPES
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology, build_topology, with_kinds
-from geometry.catmull_clark.untangling import closures, invalid_cells, untangle
+from geometry.catmull_clark.untangling import Closures, Untangled, closures, invalid_cells, untangle
 from iga.certificate import certify
 from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
@@ -57,6 +59,8 @@ name = NAME
 PIECES = 30_000
 """Pieces up to which ``depth="auto"`` subdivides irregular cells."""
 _GROWTH = (1, 8, 20)
+_FEW = 50
+"""Invalid cells up to which interior points are optimised at once; more are first made to follow the boundary."""
 
 
 def reads(path: str | Path) -> bool:
@@ -251,18 +255,35 @@ def _validate(result: Interpolation, points: Array, settings: Settings, vertices
     made = closures(t, reference)
     invalid = invalid_cells(made, control)
     count = len(invalid)
-    if count and not settings.repair:
+    if not count:
+        return control, 0, 0
+    start = control.copy()
+    if not settings.repair:
         if len(invalid_cells(made, reference)):
             return control, 0, count  # the input itself folds: that is told, and mended only if asked for
-        moved = untangle(made, control, invalid)
-        return moved.control, len(moved.moved), len(moved.invalid)
-    total = np.zeros(t.vertices, dtype=bool)
-    for boundary in (False, True):
-        if count:
-            moved = untangle(made, control, invalid, boundary)
-            control, invalid, count = moved.control, moved.invalid, len(moved.invalid)
-            total[moved.moved] = True
-    return control, int(total.sum()), count
+        moved = _unfold(made, reference, control, invalid)
+        return moved.control, int((moved.control != start).any(axis=1).sum()), len(moved.invalid)
+    moved = _unfold(made, reference, control, invalid)
+    if len(moved.invalid) and t.vertices == len(points):
+        # What is left may be faces of the boundary that fold: interpolate less there, and start again.
+        relaxed = relax(t, made.rows, made.matrix, points, start)
+        if (relaxed != start).any():
+            again = _unfold(made, reference, relaxed, invalid_cells(made, relaxed))
+            moved = again if len(again.invalid) < len(moved.invalid) else moved
+    if len(moved.invalid):
+        last = untangle(made, moved.control, moved.invalid, boundary=True)
+        moved = last if len(last.invalid) < len(moved.invalid) else moved
+    return moved.control, int((moved.control != start).any(axis=1).sum()), len(moved.invalid)
+
+
+def _unfold(made: Closures, points: Array, control: Array, invalid: Index) -> Untangled:
+    """Mend cells by interior points: they follow the boundary first where that helps, then they are optimised."""
+    if len(invalid) > _FEW:
+        followed = follow(made.topology, points, control, invalid)
+        left = invalid_cells(made, followed)
+        if len(left) < len(invalid):
+            control, invalid = followed, left
+    return untangle(made, control, invalid)
 
 
 def _errors(topology: Topology, values: Array, given: Array) -> dict[str, float]:
