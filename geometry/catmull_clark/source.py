@@ -1,14 +1,16 @@
 r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
 
     interpolate   "auto" (default), "pia", "conjugate", "direct", "pushback", "butterfly" or "none"
-    features      "auto" (default), "none" or an angle in degrees
+    features      "auto" (default), "none", an angle in degrees, or a text file with the creases (two vertex numbers on
+                  a line) and corners (one); vertices are counted as the cells use them, from 0
     depth         levels of subdivision of irregular cells before they are closed; "auto" (default): 2, 1 or 0, as the
                   number of pieces and their validity allow
     space         "catmull_clark" (default), or "optimal": see `optimal`
     repair        move control points until every cell is certified (default false)
     bound         prove how far the closures are from the limit, see `closure` (default false; takes seconds to minutes)
     pillow        put one new layer of cells under the whole boundary first (default false), see `pillowing`
-    lambda, mu, gamma    shape parameters of push-back, in (0, 1)
+    lambda, mu, gamma    shape parameters of push-back, in (0, 1): a number, the name of an attribute whose mean over
+                  the vertices of each edge, face, cell is taken, or (from Python) one number for each
     relaxation    factor of PIA, in (0, 2)
     attributes    names of point data to carry, separated by commas; by default all
 
@@ -43,7 +45,7 @@ from geometry.catmull_clark.mesh import SUFFIXES, HexMesh, hex_mesh, read_hexes
 from geometry.catmull_clark.optimal import build_optimal
 from geometry.catmull_clark.pillowing import pillow
 from geometry.catmull_clark.relaxation import follow, relax
-from geometry.catmull_clark.settings import NAME, Settings, parse
+from geometry.catmull_clark.settings import NAME, Parameter, Settings, parse
 from geometry.catmull_clark.shapes import SHAPES
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology, build_topology, with_kinds
@@ -107,7 +109,7 @@ def domain_of(mesh: HexMesh, settings: Settings | None = None, source: str = "")
     attributes = _chosen(mesh, settings.attributes)
     topology = with_features(mesh.topology, mesh.points, settings.features)
     given, columns = _stack(mesh.points, attributes)
-    result = _interpolate(topology, given, settings)
+    result = _interpolate(topology, given, settings, mesh.attributes)
     control, moved, invalid = _validate(result, mesh.points, settings, len(given))
     values = np.column_stack([control, result.values[:, 3:]])
     report = _report(mesh, topology, result, settings)
@@ -115,7 +117,10 @@ def domain_of(mesh: HexMesh, settings: Settings | None = None, source: str = "")
     if moved:
         report |= _errors(result.topology, values, given)
     carried = {key: _column(values, at, mesh.attributes[key]) for key, at in columns.items()}
-    parameters = {k: v for k, v in vars(settings).items() if k not in ("attributes", "depth")}
+    parameters = {
+        k: v if isinstance(v, str | float | bool) else "given"
+        for k, v in vars(settings).items() if k not in ("attributes", "depth")
+    }
     if settings.space == "optimal":
         return build_optimal(result.topology, values, 0, columns, Provenance(name, source, parameters), report)
     depth = automatic_depth(result.topology) if settings.depth is None else settings.depth
@@ -221,7 +226,9 @@ def _chosen(mesh: HexMesh, wanted: tuple[str, ...] | None) -> dict[str, Array]:
     return {key: mesh.attributes[key] for key in wanted}
 
 
-def _interpolate(topology: Topology, given: Array, settings: Settings) -> Interpolation:
+def _interpolate(
+    topology: Topology, given: Array, settings: Settings, fields: Mapping[str, Array]
+) -> Interpolation:
     """Interpolate all columns at once, each scaled to its own range (the points share one)."""
     size = np.ptp(given, axis=0)
     size[:3] = interpolation.diagonal(given[:, :3])
@@ -237,12 +244,25 @@ def _interpolate(topology: Topology, given: Array, settings: Settings) -> Interp
     elif method == "direct":
         result = interpolation.direct(topology, scaled)
     elif method == "pushback":
-        result = interpolation.push_back(topology, scaled, settings.lam, settings.mu, settings.gamma)
+        members = (("lambda", settings.lam, topology.edges), ("mu", settings.mu, topology.faces),
+                   ("gamma", settings.gamma, topology.hexes))
+        result = interpolation.push_back(topology, scaled, *(_shape(*one, fields) for one in members))
     elif method == "butterfly":
         result = interpolation.through_butterfly(topology, scaled, settings.relaxation)
     elif method == "none":
         result = interpolation.plain(topology, scaled)
     return replace(result, values=result.values * size)
+
+
+def _shape(key: str, value: Parameter, members: Index, fields: Mapping[str, Array]) -> float | Array:
+    """A parameter of push-back as a number or one number for each entity with the vertices given."""
+    if not isinstance(value, str):
+        return value
+    if value not in fields:
+        raise InputError(f"{key} must be a number or the name of an attribute, not {value!r}")
+    if fields[value].ndim != 1:
+        raise InputError(f"{key}: attribute {value!r} has {fields[value].shape[1]} components, not one")
+    return np.asarray(fields[value][members].mean(axis=1))
 
 
 def _validate(result: Interpolation, points: Array, settings: Settings, vertices: int) -> tuple[Array, int, int]:
