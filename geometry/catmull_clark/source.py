@@ -63,6 +63,8 @@ PIECES = 30_000
 _GROWTH = (1, 8, 20)
 _FEW = 50
 """Invalid cells up to which interior points are optimised at once; more are first made to follow the boundary."""
+_MANY = 400
+"""Invalid cells up to which the optimisation is tried from both starts."""
 
 
 def reads(path: str | Path) -> bool:
@@ -297,13 +299,17 @@ def _validate(result: Interpolation, points: Array, settings: Settings, vertices
 
 
 def _unfold(made: Closures, points: Array, control: Array, invalid: Index) -> Untangled:
-    """Mend cells by interior points: they follow the boundary first where that helps, then they are optimised."""
+    """Mend cells by interior points: they follow the boundary first where many are bad, then they are optimised."""
+    best = None
     if len(invalid) > _FEW:
         followed = follow(made.topology, points, control, invalid)
         left = invalid_cells(made, followed)
         if len(left) < len(invalid):
-            control, invalid = followed, left
-    return untangle(made, control, invalid)
+            best = untangle(made, followed, left)
+    if best is None or (len(best.invalid) and len(invalid) <= _MANY):
+        again = untangle(made, control, invalid)
+        best = again if best is None or len(again.invalid) < len(best.invalid) else best
+    return best
 
 
 def _errors(topology: Topology, values: Array, given: Array) -> dict[str, float]:
