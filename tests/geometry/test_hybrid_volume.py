@@ -295,10 +295,17 @@ def test_refinement_refuses(bent):
         refine(replace(bent, provenance=type(bent.provenance)("hybrid")))
 
 
-@pytest.mark.parametrize(("degree", "levels"), [(2, 3), pytest.param(3, 3, marks=pytest.mark.long)])
-def test_rates(degree, levels):
+@pytest.mark.parametrize(("degree", "warp", "levels"), [
+    (2, bend, 3),
+    pytest.param(3, None, 3, marks=pytest.mark.long),
+    pytest.param(3, bend, 3, marks=[pytest.mark.long, pytest.mark.xfail(strict=True, reason=(
+        "H1 rate 2.77: where a base is no parallelogram, tetrahedra cut from a pyramid next to its apex keep the shape "
+        "of a map that is homogeneous of degree one there, however small they become"
+    ))]),
+])
+def test_rates(degree, warp, levels):
     """L2 rate p + 1 and H1 rate p between the last two levels, pyramids included."""
-    domain = complete(bezier_skin(*box_mesh(1, MIXED)[:3], degree, warp=bend))
+    domain = complete(bezier_skin(*box_mesh(1, MIXED)[:3], degree, warp=warp))
     errors = []
     for level in range(levels + 1):
         if level:
