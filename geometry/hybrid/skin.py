@@ -422,18 +422,34 @@ def _dofs(triangles: Index, keys: Index, vertices: int) -> tuple[Index, int]:
 def _fit_inside(
     face: Face, chart: Chart, q: Array, local: Array, inside: int
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Move inner control points (e, 10, 3) along the normal; distance to the surface and whether elements fold."""
+    """Move inner control points (e, 10, 3) along the normal; distance to the surface and whether elements fold.
+
+    Where normals turn, distances can be lowered by moving along the surface too, which pays unless the element folds.
+    """
+    made, distance, folded = _fit_damped(face, chart, q, local, inside, 0.002)
+    if folded.any():
+        made[folded], distance[folded], folded[folded] = _fit_damped(
+            face, chart, q[folded], local[folded], inside, 0.03
+        )
+    return made, distance, folded
+
+
+def _fit_damped(
+    face: Face, chart: Chart, q: Array, local: Array, inside: int, share: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """The same with one damping of moves along the surface."""
     basis = bernstein(TRIANGLE, 3)
     local = local.copy()
     values = basis.tabulate(_PLACES[:, 1:], 0)[0]
     weight = values[:, inside]
     uv = to_parameters(chart, np.einsum("kv,evd->ekd", _PLACES, q).reshape(-1, 2))
-    for _ in range(2):
+    damping = share * float(weight @ weight) * np.eye(3)
+    for _ in range(4):
         x = np.einsum("kn,enc->ekc", values, local)
         uv, gap, normal = _project(face, uv, x.reshape(-1, 3))
         n = normal.reshape(*x.shape)
         g = gap.reshape(x.shape[:2])
-        A = np.einsum("k,ekc,ekd->ecd", weight**2, n, n) + 1e-6 * np.eye(3)
+        A = np.einsum("k,ekc,ekd->ecd", weight**2, n, n) + damping
         local[:, inside] += np.linalg.solve(A, np.einsum("k,ek,ekc->ec", weight, g, n)[..., None])[..., 0]
     values, gradients = basis.tabulate(_CHECKS[:, 1:], 1)
     x = np.einsum("kn,enc->ekc", values, local)
@@ -442,13 +458,15 @@ def _fit_inside(
     distance = np.abs(gap).reshape(x.shape[:2]).max(axis=1)
     J = np.einsum("knd,enc->ekcd", gradients, local)
     own = np.cross(J[..., 0], J[..., 1])
-    cosine = np.einsum("ekc,ekc->ek", own, normal.reshape(own.shape)) * (-1.0 if face.reversed else 1.0)
+    normal = normal.reshape(own.shape)
+    cosine = np.einsum("ekc,ekc->ek", own, normal) * (-1.0 if face.reversed else 1.0)
     size = np.linalg.norm(own, axis=-1).max(axis=1)
-    return local, distance, (cosine < 1e-3 * size[:, None]).any(axis=1)
+    folded = (cosine < 1e-3 * size[:, None]) & (normal != 0.0).any(axis=-1)
+    return local, distance, folded.any(axis=1)
 
 
 def _project(face: Face, uv: Array, x: Array, rounds: int = 4) -> tuple[Array, Array, Array]:
-    """Foot points: parameters, signed distance along the unit normal of the surface, and that normal."""
+    """Foot points: parameters, signed distance along the unit normal of the surface, and that normal (zero at poles)."""
     for _ in range(rounds):
         s, du, dv = surface_frame(face.surface, uv)
         J = np.stack([du, dv], axis=-1)
@@ -458,7 +476,9 @@ def _project(face: Face, uv: Array, x: Array, rounds: int = 4) -> tuple[Array, A
         uv = uv + step
     s, du, dv = surface_frame(face.surface, uv)
     n = np.cross(du, dv)
-    n = n / (np.linalg.norm(n, axis=1)[:, None] + 1e-300)
+    length = np.linalg.norm(n, axis=1)
+    pole = length <= 1e-6 * np.median(length)
+    n = np.where(pole[:, None], 0.0, n / (length[:, None] + 1e-300))
     away = np.einsum("qc,qc->q", n, x - s)
     return uv, -away, n
 
