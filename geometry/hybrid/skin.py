@@ -466,7 +466,7 @@ def _fit_damped(
 
 
 def _project(face: Face, uv: Array, x: Array, rounds: int = 4) -> tuple[Array, Array, Array]:
-    """Foot points: parameters, signed distance along the unit normal of the surface, and that normal (zero at poles)."""
+    """Foot points: parameters, signed distance along the unit normal of the surface, that normal (zero at poles)."""
     for _ in range(rounds):
         s, du, dv = surface_frame(face.surface, uv)
         J = np.stack([du, dv], axis=-1)
