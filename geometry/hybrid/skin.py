@@ -426,7 +426,7 @@ def _fit_inside(
 
     Where normals turn, distances can be lowered by moving along the surface too, which pays unless the element folds.
     """
-    made, distance, folded = _fit_damped(face, chart, q, local, inside, 0.002)
+    made, distance, folded = _fit_damped(face, chart, q, local, inside, 0.0002)
     if folded.any():
         made[folded], distance[folded], folded[folded] = _fit_damped(
             face, chart, q[folded], local[folded], inside, 0.03
@@ -513,7 +513,7 @@ def _report(
     bad = folded.copy()
     bad[pairs.ravel()] = True
     coarse = distance > tolerance * brep.diagonal
-    shrink = np.where(bad, 0.5, np.clip((tolerance * brep.diagonal / (distance + 1e-300)) ** 0.25, 0.45, 0.8))
+    shrink = np.where(bad, 0.5, np.clip((tolerance * brep.diagonal / (distance + 1e-300)) ** 0.25, 0.4, 0.6))
     some = bad | coarse
     return report, Sizing(corners[some].mean(axis=1), (sides.max(axis=1) * shrink)[some])
 
