@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -216,9 +216,7 @@ class _Job:
         # The sums of an extraction have as many terms as functions act on the element.
         terms = 0 if block.extraction is None else block.n
         self.slack = (SLACK + 2.0 + 2.0 * terms) * UNIT_ROUNDOFF * np.abs(self.values).max(axis=0)
-        shape = self.determinant.form
-        self.degree = max(degree for _, degree in shape.sizes)
-        self.splits = splits(shape, self.determinant.vertices)
+        self.degree = max(degree for _, degree in self.determinant.form.sizes)
 
     @property
     def range(self) -> slice:
@@ -263,7 +261,7 @@ class _Job:
         self, elements: Index, floor: float, tolerance: float, max_depth: int, budget: int, enclosure: _Enclosure
     ) -> None:
         """Bisect elements until the sign is decided and the bounds reach ``floor`` or the relative gap."""
-        lines, pairs, corners = self.splits
+        lines, pairs, corners = _splits(self.basis, self.rational)
         depth = max_depth * self.block.basis.cell.dim
         for some in self._pieces(elements, 16 * len(self.plan.used)):
             numerator, weight, start, _, relative = self._coefficients(some, True)
@@ -294,6 +292,12 @@ class _Job:
         enclosure.upper[rows] = np.where(np.isnan(upper), np.inf, upper)
         enclosure.error[rows] = error
         enclosure.points[rows] = points
+
+
+@cache
+def _splits(basis: Bernstein, rational: bool) -> tuple[tuple[Index, Index, Index], Index, Index]:
+    made = determinant(basis, rational)
+    return splits(made.form, made.vertices)
 
 
 def _sharpen(jobs: list[_Job], enclosure: _Enclosure, tolerance: float, max_depth: int, budget: int) -> None:

@@ -12,7 +12,7 @@ Axis letters: e element, n function, q sample point, c component, d reference di
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +36,25 @@ EPSILON = 0.05
 _EXTRA_WEIGHT = 0.2
 _KEPT = 6
 """Most sample points of its own that an element has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tether:
+    """Springs that hold points of the solid: energy sum_k w_k ((1 - a) (n_k . r_k)^2 + a |r_k|^2), r = A P - places.
+
+    Attributes
+    ----------
+    A : (k, n) matrix that gives the points from the control points.
+    places, normals : (k, 3) where they should be, and unit vectors across which they count most.
+    weights : (k,)
+    along : a, what distances along the surface normal to the vectors count.
+    """
+
+    A: csr_array
+    places: Array
+    normals: Array
+    weights: Array
+    along: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -77,6 +96,7 @@ def untangle(
     size: float = 0.0,
     patience: int = 4,
     depth: int = 6,
+    tether: Tether | None = None,
     shown: Progress = QUIET,
 ) -> Untangled:
     """Move free control points until every element is certified, as far as that succeeds.
@@ -93,20 +113,19 @@ def untangle(
     size : factor of a measure of size. Where much is folded at the start, the mean ratio alone may find it cheaper to
         let elements shrink to nothing; the ideal elements should then have the right sizes too.
     depth : depth of the certificates.
+    tether : springs, whose energy is added to that of the elements (about one each).
 
     Raises
     ------
     InputError : arrays do not fit the domain.
     """
-    task = _Task(domain, free, shapes, samples, power, size)
+    task = _Task(domain, free, shapes, samples, power, size, tether)
     points = domain.points.copy()
     invalid, worst = task.check(points, np.arange(task.elements), depth)
     history = [Round(len(invalid), 0, task.elements, np.nan)]
-    concerned = np.zeros(task.elements, dtype=bool)
     best, since, reach = len(invalid), 0, 1
     while len(invalid) and since < patience and len(history) <= rounds:
-        concerned[:] = False
-        concerned[invalid] = True
+        concerned = task.mask(invalid)
         task.add(worst)
         open_ = task.touching(task.grown(concerned, reach - 1))
         seen = np.flatnonzero(task.elements_of(open_))
@@ -135,46 +154,63 @@ def smooth(
     samples: int = 3,
     power: float = 2.0,
     depth: int = 6,
+    tether: Tether | Sequence[Tether] | None = None,
     shown: Progress = QUIET,
 ) -> Untangled:
     """Improve the shapes of all elements of a valid domain, which stays valid; parameters as in `untangle`.
 
-    Each round descends with all free control points (without regularisation: no sample point can fold). Control points
-    around elements that are then not certified go back towards where they were, in halves, until all are certified.
-    Elements invalid at the start are left alone, with their surroundings.
+    Each round descends with all free control points (without regularisation: no sample point can fold). Elements that
+    are then not certified are untangled; around those that resist, control points go back towards where they were, in
+    halves, until all are certified. Elements invalid at the start are left alone, with their surroundings.
+
+    Parameters
+    ----------
+    tether : springs, or those of each round, which then set the number of rounds: with ever stiffer ones a valid solid
+        is drawn to a place that it could not reach in one step.
     """
+    tethers = [tether] * rounds if tether is None or isinstance(tether, Tether) else list(tether)
     task = _Task(domain, free, shapes, samples, power)
     points = domain.points.copy()
     broken, _ = task.check(points, np.arange(task.elements), depth)
     history = [Round(len(broken), 0, task.elements, np.nan)]
-    mask = np.zeros(task.elements, dtype=bool)
-    mask[broken] = True
-    open_ = task.open & ~task.touching(mask)
+    open_ = task.open & ~task.touching(task.mask(broken))
     seen = np.flatnonzero(task.elements_of(open_))
-    for _ in range(rounds if len(seen) else 0):
+    for own in tethers if len(seen) else ():
+        task.tether = own
         step, least = task.minimise(points, open_, seen, iterations)
-        invalid, worst = task.check(points + task.moves @ step, seen, depth)
-        task.add(worst)
-        share = np.ones(task.columns)
-        count = len(invalid)
-        while len(invalid):
-            mask[:] = False
-            mask[invalid] = True
-            back = task.touching(mask)
-            share[back] = np.where(share[back] > 0.2, 0.5 * share[back], 0.0)
-            near = np.flatnonzero(task.elements_of(back))
-            invalid, _ = task.check(points + task.moves @ (share[:, None] * step), near, depth)
-        points = points + task.moves @ (share[:, None] * step)
+        step = task.mended(points, step, open_, seen, depth)
+        points, count = task.advanced(points, step, seen, depth)
         history.append(Round(count, int(open_.sum()), len(seen), least))
         shown.say(f"smoothing: {count} elements held back")
     return task.result(points, broken, history)
+
+
+def approach(domain: Domain, points: Array, depth: int = 6) -> Untangled:
+    """Move control points as far towards given ones (n, 3) as all elements stay certified.
+
+    All the way, except around elements that are not certified then, where it is a half, a quarter or nothing.
+
+    Raises
+    ------
+    InputError : the space has a constraint.
+    """
+    if domain.space.constraint is not None:
+        raise InputError("control points under a constraint cannot be moved one by one")
+    task = _Task(domain, np.ones(domain.space.n, dtype=bool), None, 3, 2.0)
+    broken, _ = task.check(domain.points, np.arange(task.elements), depth)
+    step = points - domain.points
+    step[task.touching(task.mask(broken))] = 0.0
+    seen = np.flatnonzero(task.elements_of(step.any(axis=1)))
+    made, count = task.advanced(domain.points, step, seen, depth)
+    return task.result(made, broken, [Round(count, domain.space.n, len(seen), np.nan)])
 
 
 class _Task:
     """A domain with what may move in it."""
 
     def __init__(
-        self, domain: Domain, free: Mask, shapes: Sequence[Array] | None, samples: int, power: float, size: float = 0.0
+        self, domain: Domain, free: Mask, shapes: Sequence[Array] | None, samples: int, power: float,
+        size: float = 0.0, tether: Tether | None = None,
     ) -> None:
         space = domain.space
         if free.shape != (space.n,) or free.dtype != np.bool_:
@@ -183,7 +219,7 @@ class _Task:
         wanted = [(b.elements, 3, 3) for b in space.blocks]
         if [s.shape for s in shapes] != wanted:
             raise InputError(f"ideal shapes must be arrays {wanted}, not {[s.shape for s in shapes]}")
-        self.domain, self.samples, self.power, self.size = domain, samples, power, size
+        self.domain, self.samples, self.power, self.size, self.tether = domain, samples, power, size, tether
         self.inverse = [np.linalg.inv(s) for s in shapes]
         self.offsets = np.concatenate([[0], np.cumsum([b.elements for b in space.blocks])]).astype(np.int64)
         self.elements = int(self.offsets[-1])
@@ -210,6 +246,37 @@ class _Task:
     def elements_of(self, columns: Mask) -> Mask:
         """Elements that some of the columns move."""
         return np.asarray(self.around @ columns.astype(float) > 0.0)
+
+    def mask(self, elements: Index) -> Mask:
+        """Truth values (e,) of some elements."""
+        mask = np.zeros(self.elements, dtype=bool)
+        mask[elements] = True
+        return mask
+
+    def mended(self, points: Array, step: Array, open_: Mask, seen: Index, depth: int) -> Array:
+        """Steps of the columns after untangling what they leave invalid."""
+        for _ in range(2):
+            invalid, worst = self.check(points + self.moves @ step, seen, depth)
+            if not len(invalid):
+                break
+            self.add(worst)
+            near = open_ & self.touching(self.mask(invalid))
+            moved = points + self.moves @ step
+            step = step + self.minimise(moved, near, np.flatnonzero(self.elements_of(near)), 15, 3)[0]
+        return step
+
+    def advanced(self, points: Array, step: Array, seen: Index, depth: int) -> tuple[Array, int]:
+        """Points moved by steps of the columns, less of them around invalid elements, and the number of those."""
+        share = np.ones(self.columns)
+        invalid, worst = self.check(points + self.moves @ step, seen, depth)
+        self.add(worst)
+        count = len(invalid)
+        while len(invalid):
+            back = self.touching(self.mask(invalid))
+            share[back] = np.where(share[back] > 0.2, 0.5 * share[back], 0.0)
+            near = np.flatnonzero(self.elements_of(back))
+            invalid, _ = self.check(points + self.moves @ (share[:, None] * step), near, depth)
+        return points + self.moves @ (share[:, None] * step), count
 
     def grown(self, elements: Mask, rings: int) -> Mask:
         """Elements with so many rings of neighbours."""
@@ -262,29 +329,33 @@ class _Task:
             return xi
         return np.array([*(xi[:2] if xi[2] < 1.0 else np.zeros(2)), 1.0 - 1e-6])
 
-    def minimise(self, points: Array, open_: Mask, seen: Index, iterations: int) -> tuple[Array, float]:
+    def minimise(
+        self, points: Array, open_: Mask, seen: Index, iterations: int, repeats: int = 6
+    ) -> tuple[Array, float]:
         """Steps of the columns (m, 3) by descent over the open ones, and the smallest det S at samples of ``seen``."""
         columns = np.flatnonzero(open_)
         group, groups = self._groups(columns, seen)
         batches, used = self._batches(seen, group)
-        moves = csr_array(self.moves[used][:, columns] @ diags_array(self.scale[columns]))
-        back = csr_array(moves.T)
+        moves = csr_array(self.moves[used][:, columns])
         weights = self.domain.space.weights
-        own = None if weights is None else weights[used][:, None]
-        base = points[used] if own is None else np.column_stack([points[used] * own, own])
-        if own is not None:
-            moves = csr_array(diags_array(own.ravel()) @ moves)
-            back = csr_array(moves.T)
+        base = points[used]
+        if weights is not None:
+            own = weights[used][:, None]
+            base, moves = np.column_stack([base * own, own]), csr_array(diags_array(own.ravel()) @ moves)
+        back = csr_array(moves.T)
         values = base.copy()
         delta = np.zeros(groups)
+        pull, soft = self._pull(points, columns)
 
         def energy(z: Array) -> tuple[float, Array]:
-            values[:, :3] = base[:, :3] + moves @ z.reshape(-1, 3)
+            step = _times(soft, z)
+            values[:, :3] = base[:, :3] + moves @ step
             value, gradient, _, _ = evaluate(batches, values, delta, self.power, self.size)
-            return value, (back @ gradient).ravel()
+            held, slope = pull(step)
+            return value + held, _times(soft, back @ gradient + slope).ravel()
 
         def lowest(z: Array) -> Array:
-            values[:, :3] = base[:, :3] + moves @ z.reshape(-1, 3)
+            values[:, :3] = base[:, :3] + moves @ _times(soft, z)
             least = evaluate(batches, values, np.ones(groups), self.power)[3]
             low = np.full(groups, np.inf)
             for batch, own_least in zip(batches, least):
@@ -293,7 +364,7 @@ class _Task:
 
         z = np.zeros(3 * len(columns))
         low = lowest(z)
-        for _ in range(6):
+        for _ in range(repeats):
             folded = low < EPSILON
             delta = np.where(folded, np.sqrt(EPSILON * np.where(folded, EPSILON - low, 0.0)), 0.0)
             z = descend(energy, z, iterations).x
@@ -301,8 +372,33 @@ class _Task:
             if not (delta > 0.0).any() or not (low > before + 0.01 * np.abs(before)).any():
                 break
         step = np.zeros((self.columns, 3))
-        step[columns] = self.scale[columns, None] * z.reshape(-1, 3)
+        step[columns] = _times(soft, z)
         return step, float(low.min(initial=np.inf))
+
+    def _pull(self, points: Array, columns: Index) -> tuple[Callable[[Array], tuple[float, Array]], Array]:
+        """Energy of the tether and its slopes by steps of columns (m, 3); and units of the unknowns (m, 3, 3).
+
+        A unit is the size of the smallest element that a column moves, less in directions in which springs are stiff:
+        l (1 + l^2 K)^(-1/2) with K the column's own block of the springs' second derivatives.
+        """
+        t, size = self.tether, self.scale[columns]
+        if t is None:
+            return lambda step: (0.0, np.zeros_like(step)), size[:, None, None] * np.eye(3)
+        A = csr_array(t.A @ self.moves[:, columns])
+        rows = np.flatnonzero(np.diff(A.indptr))
+        A, normals, w = A[rows], t.normals[rows], t.weights[rows]
+        back = csr_array(A.T)
+        start = t.A[rows] @ points - t.places[rows]
+
+        def pull(step: Array) -> tuple[float, Array]:
+            r = start + A @ step
+            force = w[:, None] * (t.along * r + (1.0 - t.along) * (normals * r).sum(axis=1, keepdims=True) * normals)
+            return float((force * r).sum()), 2.0 * (back @ force)
+
+        each = t.along * np.eye(3) + (1.0 - t.along) * normals[:, :, None] * normals[:, None, :]
+        stiff = back.power(2) @ (2.0 * w[:, None, None] * each).reshape(-1, 9)
+        values, vectors = np.linalg.eigh(np.eye(3) + size[:, None, None] ** 2 * stiff.reshape(-1, 3, 3))
+        return pull, size[:, None, None] * (vectors / np.sqrt(values)[:, None, :]) @ vectors.swapaxes(1, 2)
 
     def _groups(self, columns: Index, seen: Index) -> tuple[Index, int]:
         """Connected group of each element seen, joined by open columns, and how many there are."""
@@ -347,6 +443,11 @@ class _Task:
         pairs = np.stack([block, invalid - self.offsets[block]], axis=1)
         moved = np.flatnonzero((points != self.domain.points).any(axis=1))
         return Untangled(points, pairs, moved, tuple(history))
+
+
+def _times(units: Array, z: Array) -> Array:
+    """Symmetric matrices (m, 3, 3) times vectors, (m, 3)."""
+    return np.einsum("mij,mj->mi", units, z.reshape(-1, 3))
 
 
 def _some(block: Block, elements: Index) -> Block:

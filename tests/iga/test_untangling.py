@@ -18,7 +18,7 @@ from iga.descent import descend
 from iga.distortion import Batch, evaluate, own_shapes, sample_points, table_at, tables_at
 from iga.domain import Domain, Space
 from iga.scaled_jacobian import scaled_jacobian
-from iga.untangling import smooth, untangle
+from iga.untangling import Tether, smooth, untangle
 from tests.meshes import box_complex, mixed_complex
 from tests.splines import cube
 
@@ -258,3 +258,23 @@ def test_descent_finds_minima_and_respects_walls():
 
     found = descend(wall, np.full(4, 0.01), 500, reach=50.0, tolerance=1e-12)
     assert found.x == pytest.approx(np.sqrt(1e3), rel=1e-3)
+
+
+def test_tethered_points_slide_along_their_planes():
+    domain = cube((2, 2, 2), (4, 4, 4), 0.0)
+    points = domain.points.copy()
+    top = np.flatnonzero(np.isclose(points[:, 2], 1.0) & inside(np.column_stack([points[:, :2], 0.5 + 0 * points[:, 2]])))
+    points[top] += 0.1 * np.random.default_rng(4).uniform(-1.0, 1.0, (len(top), 3)) * [1.0, 1.0, 0.0]
+    given = replace(domain, points=points)
+    free = inside(domain.points)
+    free[top] = True
+    A = csr_array((np.ones(len(top)), (np.arange(len(top)), top)), shape=(len(top), domain.space.n))
+    normals = np.tile([0.0, 0.0, 1.0], (len(top), 1))
+    tether = Tether(A, points[top], normals, np.full(len(top), 1e6))
+    found = smooth(given, free, tether=tether)
+    assert np.abs(found.points[top, 2] - 1.0).max() < 1e-4
+    before, after = (np.abs(p[top, :2] - domain.points[top, :2]).max() for p in (points, found.points))
+    assert after < 0.2 * before
+    # Held along the planes as well they hardly move.
+    found = smooth(given, free, tether=replace(tether, along=1.0))
+    assert np.abs(found.points[top] - points[top]).max() < 1e-3

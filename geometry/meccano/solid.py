@@ -1,0 +1,275 @@
+r"""From the map of the meccano's boundary to a certified solid, coarse to fine.
+
+On a coarse T-mesh the boundary is fitted (`fitting`) and the inside is harmonic in the straight picture of the meccano;
+elements that fold are untangled. Then, again and again, cells whose boundary facets are farther from the surface than
+the tolerance, or that cannot be certified, are split; the solid is carried to the finer space as it is; its boundary is
+fitted to closest points of the surface; the change goes inside harmonically; the result is untangled and smoothed, while
+boundary points may slide along the surface. So folds are undone where there are few unknowns.
+
+Axis letters: n function, f facet, q sample point, v vertex of the surface, c component.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from geometry.meccano.blocks import place
+from geometry.meccano.collocation import refine
+from geometry.meccano.distance import closest, distances
+from geometry.meccano.fitting import fit_boundary, greville_points
+from geometry.meccano.hierarchical import Hierarchy
+from geometry.meccano.skin import Skin, facet_rule, side_coordinates, skin_of, values_at
+from geometry.meccano.surface import Surface, area_vectors
+from iga.assembly import matrix
+from iga.distortion import own_shapes
+from iga.domain import Domain
+from iga.integrands import Diffusion
+from iga.linear.solvers import solve
+from iga.progress import QUIET, Progress
+from iga.untangling import Tether, approach, smooth, untangle
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Target = Callable[[Index, Array], Array]
+
+_SAMPLES = 5
+_OUTER = facet_rule(_SAMPLES)
+
+
+@dataclass(frozen=True)
+class Aims:
+    """What a solid should be.
+
+    Attributes
+    ----------
+    tolerance : distance from the surface, both ways.
+    max_cells : most cells of the T-mesh.
+    start : level of the first T-mesh.
+    rounds : most rounds of refinement.
+    slides : rounds of smoothing in which boundary points slide along the surface.
+    """
+
+    tolerance: float
+    max_cells: int
+    start: int = 2
+    rounds: int = 8
+    slides: int = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A solid on a T-mesh.
+
+    Attributes
+    ----------
+    space : the functions.
+    skin : its boundary.
+    points : (n, 3) control points.
+    invalid : (k, 2) block and number of elements that are not certified.
+    """
+
+    space: Hierarchy
+    skin: Skin
+    points: Array
+    invalid: Index
+
+    @property
+    def domain(self) -> Domain:
+        """The solid as a bare domain."""
+        return Domain(self.space.space, self.points)
+
+    @property
+    def inner(self) -> Mask:
+        """(n,) functions that vanish on the boundary."""
+        mask = np.ones(self.space.space.n, dtype=bool)
+        mask[self.skin.functions] = False
+        return mask
+
+
+def harmonic(space: Hierarchy, points: Array, fixed: Index) -> Array:
+    """Control points (n, c) that are harmonic in the picture of the meccano, with those of ``fixed`` functions given.
+
+    Raises
+    ------
+    ConvergenceError : the solver does not reach its tolerance.
+    """
+    block, xi = greville_points(space)
+    picture = Domain(space.space, place(space.tmesh.blocks, block, xi))
+    K = matrix(picture, Diffusion())
+    return np.stack([
+        solve(K, np.zeros(len(points)), (fixed, points[fixed, c]), domain=picture, tolerance=1e-9)[0]
+        for c in range(points.shape[1])
+    ], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """How far a solid is from the surface, at samples of all facets.
+
+    Attributes
+    ----------
+    away : (f,) largest distance of the solid's boundary from the surface.
+    missed : (f,) largest distance of the surface, where the map puts the facet, from the solid's boundary.
+    apart : (f,) largest distance between points with equal coordinates.
+    """
+
+    away: Array
+    missed: Array
+    apart: Array
+
+    @property
+    def worst(self) -> Array:
+        """(f,)"""
+        return np.maximum(self.away, self.missed)
+
+
+def errors_of(solid: Solid, aim: Array, surface: Surface) -> Errors:
+    """Measure a solid; ``aim`` (f q, 3) is where the map puts the samples `_OUTER` of its facets."""
+    x = values_at(solid.skin, _OUTER) @ solid.points
+    away = closest(surface.points, surface.triangles, x)[1]
+    missed = closest(*tessellation(solid.skin, solid.points), aim)[1]
+    parts = (away, missed, np.linalg.norm(x - aim, axis=1))
+    return Errors(*(part.reshape(-1, len(_OUTER)).max(axis=1) for part in parts))
+
+
+def tessellation(skin: Skin, points: Array, cuts: int = 6) -> tuple[Array, Index]:
+    """Points (v, 3) and triangles (t, 3), outward, on all facets: 2 cuts^2 on each."""
+    line = np.linspace(0.0, 1.0, cuts + 1)
+    u = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    a = (np.arange(cuts)[:, None] * (cuts + 1) + np.arange(cuts)).ravel()
+    corner = np.concatenate([
+        np.stack([a, a + cuts + 1, a + 1], axis=1), np.stack([a + 1, a + cuts + 1, a + cuts + 2], axis=1)
+    ])
+    first = len(u) * np.arange(len(skin.cell))
+    return values_at(skin, u) @ points, (first[:, None, None] + corner).reshape(-1, 3)
+
+
+def unit_normals(surface: Surface) -> Array:
+    """(t, 3)"""
+    normals = area_vectors(surface)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def solid_of(
+    start: Hierarchy, target: Target, surface: Surface, aims: Aims, shown: Progress = QUIET
+) -> tuple[Solid, dict[str, Any]]:
+    """Grow a solid.
+
+    Parameters
+    ----------
+    start : the coarse space.
+    target : points (q, 3) of the surface for boundary sides (q,) and coordinates s (q, 2).
+    surface : the surface.
+
+    Returns
+    -------
+    The solid, and numbers of each round for a report.
+    """
+    history: list[dict[str, Any]] = []
+
+    def note(stage: str, solid: Solid, errors: Errors) -> None:
+        history.append({
+            "stage": stage, "cells": solid.space.tmesh.cells, "invalid": len(solid.invalid),
+            "away": float(errors.away.max()), "missed": float(errors.missed.max()),
+            "facets_off": int((errors.worst > aims.tolerance).sum()),
+        })
+        shown.say(", ".join(f"{key} {value:.4g}" if key in ("away", "missed") else f"{key} {value}"
+                            for key, value in history[-1].items()))
+
+    solid = _first(start, target, shown)
+    for step in range(aims.rounds + 1):
+        aim = target(*side_coordinates(solid.skin, _OUTER))
+        for fairness in _FAIRNESS if step == 0 else _FAIRNESS[-1:]:
+            solid = _drawn(solid, aim, fairness, shown)
+        errors = errors_of(solid, aim, surface)
+        note("growth", solid, errors)
+        finer = _refined(solid, _marked(solid, errors, aims), aims) if step < aims.rounds else None
+        if finer is None:
+            break
+        solid = finer
+    for _ in range(aims.slides):
+        solid = _slid(solid, surface, aims, shown)
+        note("sliding", solid, errors_of(solid, aim, surface))
+    return solid, {"rounds": history}
+
+
+_FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
+_STIFF = (1.0, 10.0, 100.0)
+
+
+def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
+    """A smooth, valid solid near the surface: its sides are nearly bilinear."""
+    skin = skin_of(space)
+    block, xi = greville_points(space)
+    points = place(space.tmesh.blocks, block, xi)
+    points = fit_boundary(skin, points, _OUTER, target(*side_coordinates(skin, _OUTER)), fairness=100.0)
+    solid = Solid(space, skin, harmonic(space, points, skin.functions), np.empty((0, 2), dtype=np.int64))
+    found = untangle(solid.domain, solid.inner, shown=shown)
+    return replace(solid, points=found.points, invalid=found.invalid)
+
+
+def _drawn(solid: Solid, aim: Array, fairness: float, shown: Progress) -> Solid:
+    """Draw the boundary towards its fit to ``aim``, as far as the solid stays valid."""
+    skin = solid.skin
+    wanted = fit_boundary(skin, solid.points, _OUTER, aim, fairness=fairness)[skin.functions]
+    rows, n = len(skin.functions), solid.space.space.n
+    pick = csr_array((np.ones(rows), (np.arange(rows), skin.functions)), shape=(rows, n))
+    size = sizes_of(solid)[skin.functions]
+    springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in _STIFF]
+    found = smooth(solid.domain, np.ones(n, dtype=bool), iterations=30, tether=springs, shown=shown)
+    goal = found.points.copy()
+    goal[skin.functions] = wanted
+    made = approach(replace(solid.domain, points=found.points), goal)
+    return replace(solid, points=made.points, invalid=made.invalid)
+
+
+def sizes_of(solid: Solid) -> Array:
+    """(n,) edge length of the smallest element that each function acts on."""
+    size = np.full(solid.space.space.n, np.inf)
+    for block, shapes in zip(solid.space.space.blocks, own_shapes(solid.domain)):
+        own = np.cbrt(np.abs(np.linalg.det(shapes)))
+        np.minimum.at(size, block.dofs, own[:, None])
+    return size
+
+
+def _marked(solid: Solid, errors: Errors, aims: Aims) -> Index:
+    """Cells to split, the worst first."""
+    worst = np.zeros(solid.space.tmesh.cells)
+    np.maximum.at(worst, solid.skin.cell, errors.worst / aims.tolerance)
+    worst[worst <= 1.0] = 0.0
+    if len(solid.invalid):
+        key = solid.space.element @ np.array([1 << 32, 1])
+        worst[np.isin(key, solid.invalid @ np.array([1 << 32, 1]))] += 1.0
+    cells = np.flatnonzero(worst)
+    return cells[np.argsort(-worst[cells], kind="stable")]
+
+
+def _refined(solid: Solid, marks: Index, aims: Aims) -> Solid | None:
+    """The same solid with marked cells split, as many as fit; None if none fits."""
+    while len(marks):
+        space, T = refine(solid.space, marks)
+        if space.tmesh.cells <= aims.max_cells:
+            return Solid(space, skin_of(space), T @ solid.points, solid.invalid[:0])
+        marks = marks[: len(marks) // 2]
+    return None
+
+
+def _slid(solid: Solid, surface: Surface, aims: Aims, shown: Progress) -> Solid:
+    """Smooth with the boundary sliding along the surface, then fit it to its closest points as far as that is valid."""
+    A, n = values_at(solid.skin, _OUTER), solid.space.space.n
+    near, _, triangle = closest(surface.points, surface.triangles, A @ solid.points)
+    normals = unit_normals(surface)
+    weights = np.full(len(near), 1.0 / len(_OUTER) / (0.25 * aims.tolerance) ** 2)
+    tether = Tether(A, near, normals[triangle], weights, 0.01)
+    points = smooth(solid.domain, np.ones(n, dtype=bool), rounds=1, iterations=40, tether=tether, shown=shown).points
+    near, _, triangle = closest(surface.points, surface.triangles, A @ points)
+    goal = fit_boundary(solid.skin, points, _OUTER, near, normals[triangle], along=0.05, fairness=1e-3)
+    made = approach(replace(solid.domain, points=points), goal)
+    return replace(solid, points=made.points, invalid=made.invalid)
