@@ -200,7 +200,7 @@ def approach(domain: Domain, points: Array, depth: int = 6) -> Untangled:
     broken, _ = task.check(domain.points, np.arange(task.elements), depth)
     step = points - domain.points
     step[task.touching(task.mask(broken))] = 0.0
-    seen = np.flatnonzero(task.elements_of(step.any(axis=1)))
+    seen = np.flatnonzero(task.elements_of((step != 0.0).any(axis=1)))
     made, count = task.advanced(domain.points, step, seen, depth)
     return task.result(made, broken, [Round(count, domain.space.n, len(seen), np.nan)])
 

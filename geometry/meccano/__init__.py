@@ -1,1 +1,10 @@
 """Geometry source "meccano": a closed surface triangulation as a certified spline volume."""
+
+from geometry.meccano.domain import refine_domain, stored_space
+from geometry.meccano.settings import Settings
+from geometry.meccano.source import build, domain_of, name, reads, refine
+from geometry.meccano.surface import Surface
+from geometry.meccano.surface_file import read_surface
+
+__all__ = ["Settings", "Surface", "build", "domain_of", "name", "read_surface", "reads", "refine", "refine_domain",
+           "stored_space"]

@@ -105,5 +105,6 @@ def _bending(skin: Skin) -> csr_array:
     """Matrix whose rows squared sum to the bending energies of all facets (for cubics: a rule of 2 x 2 points)."""
     g = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
     u = np.stack(np.meshgrid(g, g, indexing="ij"), axis=-1).reshape(-1, 2)
-    parts = [values_at(skin, u, order) * factor for order, factor in (((2, 0), 0.5), ((1, 1), np.sqrt(0.5)), ((0, 2), 0.5))]
+    kinds = (((2, 0), 0.5), ((1, 1), np.sqrt(0.5)), ((0, 2), 0.5))
+    parts = [values_at(skin, u, order) * factor for order, factor in kinds]
     return csr_array(vstack(parts))

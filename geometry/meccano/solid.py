@@ -1,10 +1,11 @@
 r"""From the map of the meccano's boundary to a certified solid, coarse to fine.
 
-On a coarse T-mesh the boundary is fitted (`fitting`) and the inside is harmonic in the straight picture of the meccano;
-elements that fold are untangled. Then, again and again, cells whose boundary facets are farther from the surface than
-the tolerance, or that cannot be certified, are split; the solid is carried to the finer space as it is; its boundary is
-fitted to closest points of the surface; the change goes inside harmonically; the result is untangled and smoothed, while
-boundary points may slide along the surface. So folds are undone where there are few unknowns.
+On a coarse T-mesh the solid starts as a smooth blob: its boundary is fitted with much fairness and its inside is
+harmonic in the straight picture of the meccano. Then springs of growing stiffness draw the boundary to ever better
+fits, while the distortion of the elements keeps them valid: a valid solid inflates to the wanted one, and hardly
+anything has to be untangled. Cells whose facets are farther from the surface than the tolerance are split with their
+neighbours, the solid is carried to the finer space as it is, and is drawn again. At last boundary points may slide
+along the surface while all shapes are smoothed.
 
 Axis letters: n function, f facet, q sample point, v vertex of the surface, c component.
 """
@@ -20,12 +21,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from geometry.meccano.blocks import place
-from geometry.meccano.collocation import refine
-from geometry.meccano.distance import closest, distances
+from geometry.meccano.collocation import prolongation
+from geometry.meccano.distance import closest
 from geometry.meccano.fitting import fit_boundary, greville_points
-from geometry.meccano.hierarchical import Hierarchy
+from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.skin import Skin, facet_rule, side_coordinates, skin_of, values_at
 from geometry.meccano.surface import Surface, area_vectors
+from geometry.meccano.tmesh import refined
 from iga.assembly import matrix
 from iga.distortion import own_shapes
 from iga.domain import Domain
@@ -51,16 +53,14 @@ class Aims:
     ----------
     tolerance : distance from the surface, both ways.
     max_cells : most cells of the T-mesh.
-    start : level of the first T-mesh.
     rounds : most rounds of refinement.
     slides : rounds of smoothing in which boundary points slide along the surface.
     """
 
     tolerance: float
     max_cells: int
-    start: int = 2
     rounds: int = 8
-    slides: int = 2
+    slides: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +159,7 @@ def unit_normals(surface: Surface) -> Array:
 
 def solid_of(
     start: Hierarchy, target: Target, surface: Surface, aims: Aims, shown: Progress = QUIET
-) -> tuple[Solid, dict[str, Any]]:
+) -> tuple[Solid, list[dict[str, Any]]]:
     """Grow a solid.
 
     Parameters
@@ -197,9 +197,10 @@ def solid_of(
     for _ in range(aims.slides):
         solid = _slid(solid, surface, aims, shown)
         note("sliding", solid, errors_of(solid, aim, surface))
-    return solid, {"rounds": history}
+    return solid, history
 
 
+_SHARE = 0.2
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _STIFF = (1.0, 10.0, 100.0)
 
@@ -243,7 +244,8 @@ def _marked(solid: Solid, errors: Errors, aims: Aims) -> Index:
     """Cells to split, the worst first."""
     worst = np.zeros(solid.space.tmesh.cells)
     np.maximum.at(worst, solid.skin.cell, errors.worst / aims.tolerance)
-    worst[worst <= 1.0] = 0.0
+    # Limbs first: most of what is off by little elsewhere will be right once they are drawn out.
+    worst[worst <= max(1.0, _SHARE * worst.max())] = 0.0
     if len(solid.invalid):
         key = solid.space.element @ np.array([1 << 32, 1])
         worst[np.isin(key, solid.invalid @ np.array([1 << 32, 1]))] += 1.0
@@ -254,9 +256,11 @@ def _marked(solid: Solid, errors: Errors, aims: Aims) -> Index:
 def _refined(solid: Solid, marks: Index, aims: Aims) -> Solid | None:
     """The same solid with marked cells split, as many as fit; None if none fits."""
     while len(marks):
-        space, T = refine(solid.space, marks)
-        if space.tmesh.cells <= aims.max_cells:
-            return Solid(space, skin_of(space), T @ solid.points, solid.invalid[:0])
+        # A cell split without its neighbours adds no function.
+        tmesh = refined(solid.space.tmesh, marks, reach=1)
+        if tmesh.cells <= aims.max_cells:
+            space = hierarchy(tmesh, solid.space.degree)
+            return Solid(space, skin_of(space), prolongation(solid.space, space) @ solid.points, solid.invalid[:0])
         marks = marks[: len(marks) // 2]
     return None
 

@@ -263,7 +263,7 @@ def test_descent_finds_minima_and_respects_walls():
 def test_tethered_points_slide_along_their_planes():
     domain = cube((2, 2, 2), (4, 4, 4), 0.0)
     points = domain.points.copy()
-    top = np.flatnonzero(np.isclose(points[:, 2], 1.0) & inside(np.column_stack([points[:, :2], 0.5 + 0 * points[:, 2]])))
+    top = np.flatnonzero(np.isclose(points[:, 2], 1.0) & inside(points * [1.0, 1.0, 0.5]))
     points[top] += 0.1 * np.random.default_rng(4).uniform(-1.0, 1.0, (len(top), 3)) * [1.0, 1.0, 0.0]
     given = replace(domain, points=points)
     free = inside(domain.points)

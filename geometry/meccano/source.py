@@ -1,0 +1,155 @@
+r"""The geometry source "meccano": closed surface triangulations as spline volumes.
+
+    meccano     "auto" (default: pillowed, of a cube for genus 0, else of a polycube), "pillowed", "polycube" (pillowed,
+                also for genus 0), or "cube" (the paper's, for ``space=t-spline``)
+    space       "optimal" (default): truncated hierarchical cubics; "t-spline": the paper's (see `paper`)
+    tolerance   distance from the surface, relative to its diagonal (default 0.0035)
+    max_cells   most cells of the T-mesh (default 8000)
+    stretch     area of the surface per area of a side up to which limbs may be laid small (default 100)
+    share       thickness of the pillow, as a part of a block (default 0.25)
+    rounds      most rounds of refinement (default 14)
+    smoothing   rounds in which boundary points slide along the surface (default 1)
+    repair      t-spline: refine around cells that fold (default true)
+    mend        repair small defects of the surface first (default false)
+
+The surface is divided into one patch for each boundary side of the meccano, each patch is laid on its side by mean
+values, and the solid is grown into that map (`solid`). Refinement is exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.meccano import surface_file
+from geometry.meccano.blocks import pillowed
+from geometry.meccano.boundary_map import BoundaryMap, boundary_map, carried, on_surface
+from geometry.meccano.distance import distances
+from geometry.meccano.domain import build_domain, refine_domain
+from geometry.meccano.hierarchical import hierarchy
+from geometry.meccano.partition import partition
+from geometry.meccano.polycube import polycube_map
+from geometry.meccano.settings import NAME, Settings, parse
+from geometry.meccano.solid import Aims, solid_of, tessellation
+from geometry.meccano.surface import Surface, genus, volume
+from geometry.meccano.tmesh import uniform
+from iga.domain import Domain, Provenance
+from iga.errors import InputError
+from iga.progress import QUIET, Progress, progress
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+name = NAME
+
+
+def reads(path: str | Path) -> bool:
+    """Whether a file looks like a surface triangulation."""
+    return surface_file.reads(path)
+
+
+def build(path: str | Path, **parameters: Any) -> Domain:
+    """Domain from a file with a closed triangulation.
+
+    Parameters
+    ----------
+    path : an STL, OBJ, OFF or PLY file.
+    parameters : see the module docstring.
+
+    Raises
+    ------
+    InputError : an unknown or ill-typed parameter, a file that cannot be read (`FormatError`), or a surface that bounds
+        no solid or has no meccano.
+    """
+    settings = parse(parameters)
+    clock = Clock()
+    surface, report = surface_file.read_surface(path, settings.mend)
+    clock.lap("surface")
+    return domain_of(surface, settings, Path(path).name, report, clock, progress())
+
+
+@dataclass
+class Clock:
+    """Seconds of each stage."""
+
+    last: float = field(default_factory=perf_counter)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def lap(self, stage: str) -> None:
+        """The stage that ends now."""
+        now = perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self.last
+        self.last = now
+
+
+def domain_of(
+    surface: Surface, settings: Settings | None = None, source: str = "", report: dict[str, Any] | None = None,
+    clock: Clock | None = None, shown: Progress = QUIET,
+) -> Domain:
+    """Domain of a surface in memory.
+
+    Parameters
+    ----------
+    source : name of the input, for the provenance.
+    """
+    settings, clock, report = settings or Settings(), clock or Clock(), dict(report or {})
+    if settings.space == "t-spline" or settings.meccano == "cube":
+        raise InputError("space=t-spline and meccano=cube are not built yet; use the defaults")
+    mapping, found = map_of(surface, settings, shown)
+    report |= found
+    clock.lap("boundary_map")
+    blocks = pillowed(mapping.blocks, settings.share)
+    mapping = carried(mapping, blocks)
+    start = uniform(blocks, 2 if len(blocks.corners) <= 16 else 1, 1)
+    if start.cells > settings.max_cells:
+        start = uniform(blocks, 1, 1)
+    if start.cells > settings.max_cells:
+        raise InputError(f"the meccano has {len(blocks.corners)} blocks, too many for max_cells={settings.max_cells}")
+    aims = Aims(settings.tolerance * surface.diagonal, settings.max_cells, settings.rounds, settings.smoothing)
+    solid, history = solid_of(
+        hierarchy(start), lambda side, s: on_surface(mapping, side, s)[0], surface, aims, shown
+    )
+    clock.lap("solid")
+    skin = tessellation(solid.skin, solid.points)
+    report["distance"] = distances(surface, *skin)
+    clock.lap("distance")
+    report |= {
+        "blocks": len(blocks.corners), "cells": solid.space.tmesh.cells, "surface_volume": volume(surface),
+        "levels": np.bincount(solid.space.tmesh.level).tolist(), "rounds": history, "seconds": clock.seconds,
+        "within_tolerance": bool(report["distance"]["relative"] <= settings.tolerance),
+    }
+    return build_domain(solid.space, solid.points, Provenance(NAME, source, vars(settings).copy()), report)
+
+
+def map_of(surface: Surface, settings: Settings, shown: Progress) -> tuple[BoundaryMap, dict[str, Any]]:
+    """The boundary map of the meccano before pillowing."""
+    if settings.meccano == "polycube" or (settings.meccano == "auto" and genus(surface) > 0):
+        return polycube_map(surface, progress=shown)
+    return boundary_map(partition(surface, progress=shown), settings.stretch, shown)
+
+
+def refine(domain: Domain, levels: int = 1, elevate: int = 0, cells: Index | None = None) -> Domain:
+    """Halve the cells of the T-mesh, or split some of them; the solid stays.
+
+    Parameters
+    ----------
+    cells : numbers of leaf cells (or truth values (c,)) to split, with their neighbours; all by default.
+
+    Raises
+    ------
+    InputError : elevation is asked for, or the domain did not come from this source.
+    """
+    if elevate:
+        raise InputError("meccano solids cannot be elevated; they are cubic")
+    if levels < 0:
+        raise InputError(f"cannot refine {levels} times")
+    if cells is not None and levels != 1:
+        raise InputError("some cells can be split once at a time")
+    for _ in range(levels):
+        domain = refine_domain(domain, cells)
+    return domain
