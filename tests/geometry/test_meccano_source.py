@@ -78,5 +78,5 @@ def test_bad_settings_and_surfaces_are_refused(solid, tmp_path):
     with pytest.raises(InputError, match="no cell"):
         geometry.meccano.refine(solid, cells=np.array([10**6]))
     (tmp_path / "open.off").write_text("OFF\n4 3 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n")
-    with pytest.raises(InputError, match="not closed|few|triangles"):
+    with pytest.raises(InputError, match="not closed"):
         geometry.build(tmp_path / "open.off", "meccano")
