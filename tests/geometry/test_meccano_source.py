@@ -77,6 +77,10 @@ def test_bad_settings_and_surfaces_are_refused(solid, tmp_path):
         geometry.refine(solid, elevate=1)
     with pytest.raises(InputError, match="no cell"):
         geometry.meccano.refine(solid, cells=np.array([10**6]))
-    (tmp_path / "open.off").write_text("OFF\n4 3 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n")
+    whole = ball(4)
+    lines = [f"OFF\n{len(whole.points)} {len(whole.triangles) - 1} 0"]
+    lines += [" ".join(map(str, p)) for p in whole.points.tolist()]
+    lines += [f"3 {a} {b} {c}" for a, b, c in whole.triangles[1:].tolist()]
+    (tmp_path / "open.off").write_text("\n".join(lines) + "\n")
     with pytest.raises(InputError, match="not closed"):
         geometry.build(tmp_path / "open.off", "meccano")
