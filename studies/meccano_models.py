@@ -1,0 +1,108 @@
+"""Which surfaces become certified spline solids, how near do they come to the surface, and what do they cost?
+
+Each closed triangulation is built with the settings of the source "meccano": at the small size the surfaces made by
+formula, at full size all files of the data folder that are there (others are left out and said), with a row that says
+"refused" and why where a surface bounds no solid or has no meccano. Beside the verdicts stands what the paper reports of its
+bunny (Escobar, Cascon, Rodriguez and Montenegro, section 4.2): cells, the share of cells with a scaled Jacobian below one
+half, and the difference of volumes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+
+from geometry.meccano import Settings, domain_of
+from geometry.meccano.shapes import ball, star, torus
+from geometry.meccano.surface import Surface
+from geometry.meccano.surface_file import read_surface
+from iga.assembly import volume
+from iga.certificate import quality
+from iga.domain import Domain
+from iga.errors import InputError
+from iga.pictures.plot import plot_domain
+from iga.progress import Progress
+from studies.study import Figure, Result, Size
+from studies.table import Column, Slope, Value, table
+
+NAME = "meccano_models"
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "surface"
+COLUMNS = (
+    Column("model", "text", key=True),
+    Column("verdict", "text"),
+    Column("genus", "int"),
+    Column("blocks", "int"),
+    Column("cells", "int", relative=0.1, absolute=100),
+    Column("functions", "int", relative=0.1, absolute=200),
+    Column("refuted", "int"),
+    Column("undecided", "int"),
+    Column("least", relative=0.2, absolute=0.05, format=".3f"),
+    Column("below_half", relative=0.2, absolute=0.02, format=".3f"),
+    Column("volume_error", relative=0.5, absolute=1e-3, format=".1e"),
+    Column("distance", relative=0.3, absolute=1e-3, format=".2e"),
+    Column("seconds", "time", "s"),
+)
+SLOPES: tuple[Slope, ...] = ()
+SMALL: dict[str, tuple[Callable[[], Surface], Settings]] = {
+    "ball": (lambda: ball(12), Settings(tolerance=0.01, max_cells=500)),
+    "star": (lambda: star(12), Settings(tolerance=0.01, max_cells=1500)),
+    "torus": (lambda: torus(32, 14), Settings(tolerance=0.01, max_cells=2000)),
+}
+
+
+def run(size: Size, progress: Progress) -> Result:
+    """Build all models."""
+    rows, solids = [], []
+    jobs: list[tuple[str, Callable[[], Surface], Settings]] = [(k, f, s) for k, (f, s) in SMALL.items()]
+    if size == "full":
+        files = sorted(DATA.glob("*.*")) if DATA.is_dir() else []
+        jobs += [(path.name, lambda path=path: read_surface(path)[0], Settings()) for path in files]  # type: ignore[misc]
+    for name, surface, settings in progress.track(jobs, "surfaces"):
+        row, domain = _row(name, surface, replace(settings))
+        rows.append(row)
+        if domain is not None:
+            solids.append((name, domain))
+    figures = tuple(
+        Figure(Path(name).stem, lambda path, domain=domain: plot_domain(domain, path), f"{name}, cells of the T-mesh.")  # type: ignore[misc]
+        for name, domain in solids
+    )
+    return Result(table(NAME, COLUMNS, rows, SLOPES), figures, _said(rows, size))
+
+
+def _row(name: str, surface: Callable[[], Surface], settings: Settings) -> tuple[dict[str, Value], Domain | None]:
+    began = perf_counter()
+    try:
+        domain = domain_of(surface(), settings, name)
+    except InputError as error:
+        return {"model": name, "verdict": f"refused: {error}", "seconds": perf_counter() - began}, None
+    proof = quality(domain)
+    shape = proof["scaled_jacobian"]
+    told = domain.report
+    good = not proof["refuted"] and not proof["undecided"] and not proof["degenerate"]
+    row: dict[str, Value] = {
+        "model": name, "verdict": "certified" if good else "not certified", "genus": _genus(domain),
+        "blocks": told["blocks"], "cells": told["cells"], "functions": domain.space.n, "refuted": proof["refuted"],
+        "undecided": proof["undecided"], "least": shape["min"], "below_half": shape["share_below_half"],
+        "volume_error": abs(volume(domain, 5) / told["surface_volume"] - 1.0),
+        "distance": told["distance"]["relative"], "seconds": perf_counter() - began,
+    }  # fmt: skip
+    return row, domain
+
+
+def _genus(domain: Domain) -> int:
+    """Genus of the meccano: 1 - chi / 2 of its boundary, a closed surface of quadrilaterals."""
+    from geometry.meccano.tmesh import from_arrays
+
+    blocks = from_arrays(domain.provenance.arrays).blocks
+    faces = [tuple(blocks.corners[b, list(blocks.cell.faces[s].vertices)].tolist()) for b, s in blocks.boundary_sides]
+    corners = {c for face in faces for c in face}
+    return 1 - (len(corners) - 2 * len(faces) + len(faces)) // 2
+
+
+def _said(rows: list[dict[str, Value]], size: Size) -> str:
+    good = sum(row["verdict"] == "certified" for row in rows)
+    refused = sum(str(row["verdict"]).startswith("refused") for row in rows)
+    missing = "" if size == "ci" or DATA.is_dir() else " The data folder is not there."
+    return f"{good} of {len(rows)} surfaces certified, {refused} refused.{missing}"
