@@ -2,9 +2,9 @@
 
 Each closed triangulation is built with the settings of the source "meccano": at the small size the surfaces made by
 formula, at full size all files of the data folder that are there (others are left out and said), with a row that says
-"refused" and why where a surface bounds no solid or has no meccano. Beside the verdicts stands what the paper reports of its
-bunny (Escobar, Cascon, Rodriguez and Montenegro, section 4.2): cells, the share of cells with a scaled Jacobian below one
-half, and the difference of volumes.
+"refused" and why where a surface bounds no solid or has no meccano. Beside the verdicts stands what the paper reports
+of its bunny (Escobar, Cascon, Rodriguez and Montenegro, section 4.2): cells, the share of cells with a scaled Jacobian
+below one half, and the difference of volumes.
 """
 
 from __future__ import annotations

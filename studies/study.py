@@ -37,6 +37,7 @@ STUDIES: dict[str, str] = {
         "hybrid_error",
         "hybrid_refinement",
         "meccano_square",
+        "meccano_models",
     )
 } | {"bench_cube": "bench_table"}
 BASELINES = Path(__file__).parent / "baselines"
