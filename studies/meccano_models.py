@@ -10,7 +10,7 @@ below one half, and the difference of volumes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -18,6 +18,7 @@ from geometry.meccano import Settings, domain_of
 from geometry.meccano.shapes import ball, star, torus
 from geometry.meccano.surface import Surface
 from geometry.meccano.surface_file import read_surface
+from geometry.meccano.tmesh import from_arrays
 from iga.assembly import volume
 from iga.certificate import quality
 from iga.domain import Domain
@@ -60,13 +61,12 @@ def run(size: Size, progress: Progress) -> Result:
         files = sorted(DATA.glob("*.*")) if DATA.is_dir() else []
         jobs += [(path.name, lambda path=path: read_surface(path)[0], Settings()) for path in files]  # type: ignore[misc]
     for name, surface, settings in progress.track(jobs, "surfaces"):
-        row, domain = _row(name, surface, replace(settings))
+        row, domain = _row(name, surface, settings)
         rows.append(row)
         if domain is not None:
             solids.append((name, domain))
     figures = tuple(
-        Figure(Path(name).stem, lambda path, domain=domain: plot_domain(domain, path), f"{name}, cells of the T-mesh.")  # type: ignore[misc]
-        for name, domain in solids
+        Figure(Path(name).stem, partial(_draw, domain), f"{name}, cells of the T-mesh.") for name, domain in solids
     )
     return Result(table(NAME, COLUMNS, rows, SLOPES), figures, _said(rows, size))
 
@@ -91,10 +91,12 @@ def _row(name: str, surface: Callable[[], Surface], settings: Settings) -> tuple
     return row, domain
 
 
+def _draw(domain: Domain, path: Path) -> None:
+    plot_domain(domain, path)
+
+
 def _genus(domain: Domain) -> int:
     """Genus of the meccano: 1 - chi / 2 of its boundary, a closed surface of quadrilaterals."""
-    from geometry.meccano.tmesh import from_arrays
-
     blocks = from_arrays(domain.provenance.arrays).blocks
     faces = [tuple(blocks.corners[b, list(blocks.cell.faces[s].vertices)].tolist()) for b, s in blocks.boundary_sides]
     corners = {c for face in faces for c in face}
