@@ -35,6 +35,7 @@ from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.partition import partition
 from geometry.meccano.polycube import polycube_map
 from geometry.meccano.settings import NAME, Settings, parse
+from geometry.meccano.shapes import SHAPES
 from geometry.meccano.solid import Aims, solid_of, tessellation
 from geometry.meccano.surface import Surface, genus, volume
 from geometry.meccano.tmesh import uniform
@@ -58,7 +59,7 @@ def build(path: str | Path, **parameters: Any) -> Domain:
 
     Parameters
     ----------
-    path : an STL, OBJ, OFF or PLY file.
+    path : an STL, OBJ, OFF or PLY file, or the name of a shape (`shapes`).
     parameters : see the module docstring.
 
     Raises
@@ -68,6 +69,8 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     """
     settings = parse(parameters)
     clock = Clock()
+    if str(path) in SHAPES:
+        return domain_of(SHAPES[str(path)](), settings, str(path), {}, clock, progress())
     surface, report = surface_file.read_surface(path, settings.mend)
     clock.lap("surface")
     return domain_of(surface, settings, Path(path).name, report, clock, progress())
