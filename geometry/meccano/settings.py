@@ -19,9 +19,9 @@ class Settings:
 
     meccano: str = "auto"
     space: str = "optimal"
-    tolerance: float = 0.0035
-    max_cells: int = 8000
-    stretch: float = 100.0
+    tolerance: float = 0.004
+    max_cells: int = 10000
+    stretch: float = 10.0
     share: float = 0.25
     rounds: int = 14
     smoothing: int = 1

@@ -186,7 +186,7 @@ def solid_of(
     solid = _first(start, target, shown)
     for step in range(aims.rounds + 1):
         aim = target(*side_coordinates(solid.skin, _OUTER))
-        for fairness in _FAIRNESS if step == 0 else _FAIRNESS[-1:]:
+        for fairness in _FAIRNESS if step == 0 else _FAIRNESS[-1:] if step == 1 else _FINE:
             solid = _drawn(solid, aim, fairness, shown)
         errors = errors_of(solid, aim, surface)
         note("growth", solid, errors)
@@ -202,7 +202,9 @@ def solid_of(
 
 _SHARE = 0.2
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
+_FINE = (3e-4,)
 _STIFF = (1.0, 10.0, 100.0)
+_GROWTH = 2.2
 
 
 def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
@@ -223,6 +225,12 @@ def _drawn(solid: Solid, aim: Array, fairness: float, shown: Progress) -> Solid:
     rows, n = len(skin.functions), solid.space.space.n
     pick = csr_array((np.ones(rows), (np.arange(rows), skin.functions)), shape=(rows, n))
     size = sizes_of(solid)[skin.functions]
+    if fairness <= 1e-3:
+        # Most of the way at once, the inside along with it.
+        change = np.zeros_like(solid.points)
+        change[skin.functions] = wanted - solid.points[skin.functions]
+        goal = solid.points + harmonic(solid.space, change, skin.functions)
+        solid = replace(solid, points=approach(solid.domain, goal).points)
     springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in _STIFF]
     found = smooth(solid.domain, np.ones(n, dtype=bool), iterations=30, tether=springs, shown=shown)
     goal = found.points.copy()
@@ -255,13 +263,14 @@ def _marked(solid: Solid, errors: Errors, aims: Aims) -> Index:
 
 def _refined(solid: Solid, marks: Index, aims: Aims) -> Solid | None:
     """The same solid with marked cells split, as many as fit; None if none fits."""
+    most = min(aims.max_cells, int(_GROWTH * solid.space.tmesh.cells))
     while len(marks):
         # A cell split without its neighbours adds no function.
         tmesh = refined(solid.space.tmesh, marks, reach=1)
-        if tmesh.cells <= aims.max_cells:
+        if tmesh.cells <= most:
             space = hierarchy(tmesh, solid.space.degree)
             return Solid(space, skin_of(space), prolongation(solid.space, space) @ solid.points, solid.invalid[:0])
-        marks = marks[: len(marks) // 2]
+        marks = marks[: (2 * len(marks)) // 3]
     return None
 
 

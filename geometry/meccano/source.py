@@ -3,9 +3,9 @@ r"""The geometry source "meccano": closed surface triangulations as spline volum
     meccano     "auto" (default: pillowed, of a cube for genus 0, else of a polycube), "pillowed", "polycube" (pillowed,
                 also for genus 0), or "cube" (the paper's, for ``space=t-spline``)
     space       "optimal" (default): truncated hierarchical cubics; "t-spline": the paper's (see `paper`)
-    tolerance   distance from the surface, relative to its diagonal (default 0.0035)
-    max_cells   most cells of the T-mesh (default 8000)
-    stretch     area of the surface per area of a side up to which limbs may be laid small (default 100)
+    tolerance   distance from the surface, relative to its diagonal (default 0.004)
+    max_cells   most cells of the T-mesh (default 10000)
+    stretch     area of the surface per area of a side up to which limbs may be laid small (default 10)
     share       thickness of the pillow, as a part of a block (default 0.25)
     rounds      most rounds of refinement (default 14)
     smoothing   rounds in which boundary points slide along the surface (default 1)
