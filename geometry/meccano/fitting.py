@@ -48,7 +48,7 @@ def from_parametrisation(space: Hierarchy, inside: Inside) -> Array:
 
 
 def fit_boundary(
-    skin: Skin, points: Array, u: Array, targets: Array, normals: Array | None = None, along: float = 1.0,
+    skin: Skin, points: Array, u: Array | csr_array, targets: Array, normals: Array | None = None, along: float = 1.0,
     fairness: float = 1e-4, weights: Array | None = None, fixed: Index | None = None,
 ) -> Array:
     """Control points (n, 3) whose boundary functions are fitted; the others stay.
@@ -56,8 +56,8 @@ def fit_boundary(
     Parameters
     ----------
     points : (n, 3) where to start from.
-    u : (q, 2) sample points of each facet.
-    targets, normals : (f q, 3) where they should lie, and the normals of the surface there.
+    u : (q, 2) sample points of each facet, or a matrix (k, n) that gives any points from control points.
+    targets, normals : (f q, 3) or (k, 3), where they should lie, and the normals of the surface there.
     along : a, weight of distances along the surface, relative to those across.
     fairness : b, relative to the sum of weights of a facet.
     weights : (f q,) of the samples; by default those of a facet sum to one.
@@ -68,10 +68,10 @@ def fit_boundary(
     InputError : the fit does not converge.
     """
     free = skin.functions if fixed is None else np.setdiff1d(skin.functions, fixed)
-    full = values_at(skin, u)
+    full = values_at(skin, u) if isinstance(u, np.ndarray) else u
     A = csr_array(full[:, free])
     back = csr_array(A.T)
-    w = np.full(len(targets), 1.0 / len(u)) if weights is None else weights
+    w = np.full(len(targets), len(skin.cell) / len(targets)) if weights is None else weights
     bend = _bending(skin)
     F, unbend = csr_array(bend[:, free]), csr_array(bend[:, free].T)
     residual, bent = targets - full @ points, -(bend @ points)
@@ -91,7 +91,7 @@ def fit_boundary(
     diagonal = np.repeat(1.0 / np.maximum(scale, 1e-12 * scale.max(initial=1.0)), 3)
     size = len(right)
     solved, failed = cg(
-        LinearOperator((size, size), product), right, rtol=1e-6, maxiter=4000,
+        LinearOperator((size, size), product), right, rtol=1e-4, maxiter=4000,
         M=LinearOperator((size, size), lambda x: diagonal * x.ravel()),
     )
     if failed:

@@ -86,6 +86,13 @@ def values_at(skin: Skin, u: Array, order: tuple[int, int] = (0, 0)) -> csr_arra
     return made
 
 
+def values_on(skin: Skin, facet: Index, u: Array) -> csr_array:
+    """Matrix (k, n) that gives a field at points u (k, 2) of facets (k,)."""
+    s = skin.corner[facet] + skin.size[facet, None] * u
+    xi = _ORIGIN[skin.face[facet]] + np.einsum("kds,ks->kd", _AXES[skin.face[facet]], s)
+    return collocation(skin.space, skin.space.tmesh.block[skin.cell[facet]], xi)
+
+
 def facet_rule(points: int) -> Array:
     """Midpoints (q, 2) of a facet cut into ``points`` by ``points``."""
     line = (np.arange(points) + 0.5) / points

@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from geometry.meccano.blocks import place
 from geometry.meccano.collocation import prolongation
 from geometry.meccano.distance import closest
 from geometry.meccano.fitting import fit_boundary, greville_points
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
-from geometry.meccano.skin import Skin, facet_rule, side_coordinates, skin_of, values_at
+from geometry.meccano.skin import Skin, facet_rule, side_coordinates, skin_of, values_at, values_on
 from geometry.meccano.surface import Surface, area_vectors
 from geometry.meccano.tmesh import refined
 from iga.assembly import matrix
@@ -139,16 +139,33 @@ def errors_of(solid: Solid, aim: Array, surface: Surface) -> Errors:
     return Errors(*(part.reshape(-1, len(_OUTER)).max(axis=1) for part in parts))
 
 
-def tessellation(skin: Skin, points: Array, cuts: int = 6) -> tuple[Array, Index]:
-    """Points (v, 3) and triangles (t, 3), outward, on all facets: 2 cuts^2 on each."""
-    line = np.linspace(0.0, 1.0, cuts + 1)
-    u = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    a = (np.arange(cuts)[:, None] * (cuts + 1) + np.arange(cuts)).ravel()
-    corner = np.concatenate([
-        np.stack([a, a + cuts + 1, a + 1], axis=1), np.stack([a + 1, a + cuts + 1, a + cuts + 2], axis=1)
-    ])
-    first = len(u) * np.arange(len(skin.cell))
-    return values_at(skin, u) @ points, (first[:, None, None] + corner).reshape(-1, 3)
+_CUTS = 6
+_LINE = np.linspace(0.0, 1.0, _CUTS + 1)
+_NODES = np.stack(np.meshgrid(_LINE, _LINE, indexing="ij"), axis=-1).reshape(-1, 2)
+_FIRST = (np.arange(_CUTS)[:, None] * (_CUTS + 1) + np.arange(_CUTS)).ravel()
+_TRIANGLES = np.concatenate([
+    np.stack([_FIRST, _FIRST + _CUTS + 1, _FIRST + 1], axis=1),
+    np.stack([_FIRST + 1, _FIRST + _CUTS + 1, _FIRST + _CUTS + 2], axis=1),
+])
+
+
+def tessellation(skin: Skin, points: Array) -> tuple[Array, Index]:
+    """Points (v, 3) and triangles (t, 3), outward, on all facets: the same number on each, facet by facet."""
+    first = len(_NODES) * np.arange(len(skin.cell))
+    return values_at(skin, _NODES) @ points, (first[:, None, None] + _TRIANGLES).reshape(-1, 3)
+
+
+def feet(solid: Solid, queries: Array) -> tuple[Index, Array, Array]:
+    """Facets (k,) and u (k, 2) where the boundary is closest to points (k, 3), and the distances (k,)."""
+    nodes, triangles = tessellation(solid.skin, solid.points)
+    foot, gap, number = closest(nodes, triangles, queries)
+    facet, local = np.divmod(number, len(_TRIANGLES))
+    corners = nodes[triangles[number]]
+    sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    weights = (np.linalg.pinv(sides) @ (foot - corners[:, 0])[:, :, None])[:, :, 0]
+    places = _NODES[_TRIANGLES[local]]
+    u = places[:, 0] + np.einsum("ks,ksd->kd", weights, places[:, 1:] - places[:, :1])
+    return facet, np.clip(u, 0.0, 1.0), gap
 
 
 def unit_normals(surface: Surface) -> Array:
@@ -190,13 +207,21 @@ def solid_of(
             solid = _drawn(solid, aim, fairness, shown)
         errors = errors_of(solid, aim, surface)
         note("growth", solid, errors)
-        finer = _refined(solid, _marked(solid, errors, aims), aims) if step < aims.rounds else None
+        most = min(_RESERVED * aims.max_cells, _GROWTH * solid.space.tmesh.cells)
+        finer = _refined(solid, _marked(solid, errors, aims), int(most)) if step < aims.rounds else None
         if finer is None:
             break
         solid = finer
     for _ in range(aims.slides):
-        solid = _slid(solid, surface, aims, shown)
+        solid = _slid(solid, surface, aim, aims, shown)
         note("sliding", solid, errors_of(solid, aim, surface))
+    for _ in range(_SNAPS):
+        finer = _refined(solid, _marked(solid, errors_of(solid, aim, surface), aims), aims.max_cells)
+        if finer is None:
+            break
+        aim = target(*side_coordinates(finer.skin, _OUTER))
+        solid = _snapped(finer, surface, aim, aims)
+        note("fitting", solid, errors_of(solid, aim, surface))
     return solid, history
 
 
@@ -205,6 +230,8 @@ _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _FINE = (3e-4,)
 _STIFF = (1.0, 10.0, 100.0)
 _GROWTH = 2.2
+_RESERVED = 0.94
+_SNAPS = 3
 
 
 def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
@@ -261,9 +288,8 @@ def _marked(solid: Solid, errors: Errors, aims: Aims) -> Index:
     return cells[np.argsort(-worst[cells], kind="stable")]
 
 
-def _refined(solid: Solid, marks: Index, aims: Aims) -> Solid | None:
-    """The same solid with marked cells split, as many as fit; None if none fits."""
-    most = min(aims.max_cells, int(_GROWTH * solid.space.tmesh.cells))
+def _refined(solid: Solid, marks: Index, most: int) -> Solid | None:
+    """The same solid with marked cells split, as many as ``most`` cells allow; None if that allows none."""
     while len(marks):
         # A cell split without its neighbours adds no function.
         tmesh = refined(solid.space.tmesh, marks, reach=1)
@@ -274,7 +300,7 @@ def _refined(solid: Solid, marks: Index, aims: Aims) -> Solid | None:
     return None
 
 
-def _slid(solid: Solid, surface: Surface, aims: Aims, shown: Progress) -> Solid:
+def _slid(solid: Solid, surface: Surface, aim: Array, aims: Aims, shown: Progress) -> Solid:
     """Smooth with the boundary sliding along the surface, then fit it to its closest points as far as that is valid."""
     A, n = values_at(solid.skin, _OUTER), solid.space.space.n
     near, _, triangle = closest(surface.points, surface.triangles, A @ solid.points)
@@ -282,7 +308,23 @@ def _slid(solid: Solid, surface: Surface, aims: Aims, shown: Progress) -> Solid:
     weights = np.full(len(near), 1.0 / len(_OUTER) / (0.25 * aims.tolerance) ** 2)
     tether = Tether(A, near, normals[triangle], weights, 0.01)
     points = smooth(solid.domain, np.ones(n, dtype=bool), rounds=1, iterations=40, tether=tether, shown=shown).points
-    near, _, triangle = closest(surface.points, surface.triangles, A @ points)
-    goal = fit_boundary(solid.skin, points, _OUTER, near, normals[triangle], along=0.05, fairness=1e-3)
-    made = approach(replace(solid.domain, points=points), goal)
+    return _snapped(replace(solid, points=points), surface, aim, aims)
+
+
+def _snapped(solid: Solid, surface: Surface, aim: Array, aims: Aims) -> Solid:
+    """Fit the boundary to the closest points of the surface, and to points of it (k, 3) that it misses."""
+    A = values_at(solid.skin, _OUTER)
+    near, _, triangle = closest(surface.points, surface.triangles, A @ solid.points)
+    there = np.concatenate([aim, surface.points])
+    facet, u, gap = feet(solid, there)
+    far = gap > 0.3 * aims.tolerance
+    there, B = there[far], values_on(solid.skin, facet[far], u[far])
+    way = there - B @ solid.points
+    normals = np.concatenate([unit_normals(surface)[triangle], way / np.linalg.norm(way, axis=1, keepdims=True)])
+    weights = np.full(len(near) + int(far.sum()), 1.0 / len(_OUTER))
+    goal = fit_boundary(
+        solid.skin, solid.points, csr_array(vstack([A, B])), np.concatenate([near, there]), normals, along=0.05,
+        fairness=1e-4, weights=weights,
+    )
+    made = approach(solid.domain, goal)
     return replace(solid, points=made.points, invalid=made.invalid)
