@@ -204,7 +204,7 @@ def solid_of(
     for step in range(aims.rounds + 1):
         aim = target(*side_coordinates(solid.skin, _OUTER))
         for fairness in _FAIRNESS if step == 0 else _FAIRNESS[-1:] if step == 1 else _FINE:
-            solid = _drawn(solid, aim, fairness, shown)
+            solid = _drawn(solid, aim, fairness, aims, shown)
         errors = errors_of(solid, aim, surface)
         note("growth", solid, errors)
         most = min(_RESERVED * aims.max_cells, _GROWTH * solid.space.tmesh.cells)
@@ -230,6 +230,7 @@ _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _FINE = (3e-4,)
 _STIFF = (1.0, 10.0, 100.0)
 _GROWTH = 2.2
+_RINGS = 2
 _RESERVED = 0.94
 _SNAPS = 3
 
@@ -245,8 +246,11 @@ def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
     return replace(solid, points=found.points, invalid=found.invalid)
 
 
-def _drawn(solid: Solid, aim: Array, fairness: float, shown: Progress) -> Solid:
-    """Draw the boundary towards its fit to ``aim``, as far as the solid stays valid."""
+def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progress) -> Solid:
+    """Draw the boundary towards its fit to ``aim``, as far as the solid stays valid.
+
+    Springs work where the fit is not reached in one step, and in some rings of elements around.
+    """
     skin = solid.skin
     wanted = fit_boundary(skin, solid.points, _OUTER, aim, fairness=fairness)[skin.functions]
     rows, n = len(skin.functions), solid.space.space.n
@@ -258,12 +262,25 @@ def _drawn(solid: Solid, aim: Array, fairness: float, shown: Progress) -> Solid:
         change[skin.functions] = wanted - solid.points[skin.functions]
         goal = solid.points + harmonic(solid.space, change, skin.functions)
         solid = replace(solid, points=approach(solid.domain, goal).points)
+    gap = np.linalg.norm(wanted - solid.points[skin.functions], axis=1)
+    near = grown(solid, skin.functions[gap > 0.1 * aims.tolerance], _RINGS)
     springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in _STIFF]
-    found = smooth(solid.domain, np.ones(n, dtype=bool), iterations=30, tether=springs, shown=shown)
+    found = smooth(solid.domain, near, iterations=30, tether=springs, shown=shown)
     goal = found.points.copy()
     goal[skin.functions] = wanted
     made = approach(replace(solid.domain, points=found.points), goal)
     return replace(solid, points=made.points, invalid=made.invalid)
+
+
+def grown(solid: Solid, functions: Index, rings: int) -> Mask:
+    """(n,) functions that share elements with given ones, so many times over."""
+    mask = np.zeros(solid.space.space.n, dtype=bool)
+    mask[functions] = True
+    for _ in range(rings):
+        before = mask.copy()
+        for block in solid.space.space.blocks:
+            mask[block.dofs[before[block.dofs].any(axis=1)]] = True
+    return mask
 
 
 def sizes_of(solid: Solid) -> Array:
