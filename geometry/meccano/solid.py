@@ -209,7 +209,7 @@ def solid_of(
         note("growth", solid, errors)
         most = min(_RESERVED * aims.max_cells, _GROWTH * solid.space.tmesh.cells)
         finer = _refined(solid, _marked(solid, errors, aims), int(most)) if step < aims.rounds else None
-        if finer is None:
+        if finer is None or finer.space.tmesh.cells < _WORTH * solid.space.tmesh.cells:
             break
         solid = finer
     for _ in range(aims.slides):
@@ -230,6 +230,7 @@ _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _FINE = (3e-4,)
 _STIFF = (1.0, 10.0, 100.0)
 _GROWTH = 2.2
+_WORTH = 1.04
 _RINGS = 2
 _RESERVED = 0.94
 _SNAPS = 3
