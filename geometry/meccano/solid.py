@@ -22,7 +22,7 @@ from scipy.sparse import csr_array, vstack
 
 from geometry.meccano.blocks import place
 from geometry.meccano.collocation import prolongation
-from geometry.meccano.distance import closest
+from geometry.meccano.distance import closest, samples
 from geometry.meccano.fitting import fit_boundary, greville_points
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.skin import Skin, facet_rule, side_coordinates, skin_of, values_at, values_on
@@ -116,13 +116,12 @@ class Errors:
     Attributes
     ----------
     away : (f,) largest distance of the solid's boundary from the surface.
-    missed : (f,) largest distance of the surface, where the map puts the facet, from the solid's boundary.
-    apart : (f,) largest distance between points with equal coordinates.
+    missed : (f,) largest distance of the surface, where the map puts the facet or the facet is closest, from the
+        solid's boundary.
     """
 
     away: Array
     missed: Array
-    apart: Array
 
     @property
     def worst(self) -> Array:
@@ -132,13 +131,21 @@ class Errors:
 
 def errors_of(solid: Solid, aim: Array, surface: Surface) -> Errors:
     """Measure a solid; ``aim`` (f q, 3) is where the map puts the samples `_OUTER` of its facets."""
-    x = values_at(solid.skin, _OUTER) @ solid.points
-    away = closest(surface.points, surface.triangles, x)[1]
-    missed = closest(*tessellation(solid.skin, solid.points), aim)[1]
-    parts = (away, missed, np.linalg.norm(x - aim, axis=1))
-    return Errors(*(part.reshape(-1, len(_OUTER)).max(axis=1) for part in parts))
+    count = len(solid.skin.cell)
+    nodes, triangles = tessellation(solid.skin, solid.points)
+    away = closest(surface.points, surface.triangles, nodes)[1].reshape(count, -1).max(axis=1)
+    missed = closest(nodes, triangles, aim)[1].reshape(count, -1).max(axis=1)
+    facet, _, gap = feet(solid, spread(surface))
+    np.maximum.at(missed, facet, gap)
+    return Errors(away, missed)
 
 
+def spread(surface: Surface) -> Array:
+    """Points (k, 3) of the surface, close together."""
+    return samples(surface.points, surface.triangles, _SPACING * surface.diagonal)
+
+
+_SPACING = 0.01
 _CUTS = 6
 _LINE = np.linspace(0.0, 1.0, _CUTS + 1)
 _NODES = np.stack(np.meshgrid(_LINE, _LINE, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -333,10 +340,12 @@ def _snapped(solid: Solid, surface: Surface, aim: Array, aims: Aims) -> Solid:
     """Fit the boundary to the closest points of the surface, and to points of it (k, 3) that it misses."""
     A = values_at(solid.skin, _OUTER)
     near, _, triangle = closest(surface.points, surface.triangles, A @ solid.points)
-    there = np.concatenate([aim, surface.points])
+    there = np.concatenate([aim, spread(surface)])
     facet, u, gap = feet(solid, there)
     far = gap > 0.3 * aims.tolerance
-    there, B = there[far], values_on(solid.skin, facet[far], u[far])
+    there, B = there[far], csr_array((0, solid.space.space.n))
+    if len(there):
+        B = values_on(solid.skin, facet[far], u[far])
     way = there - B @ solid.points
     normals = np.concatenate([unit_normals(surface)[triangle], way / np.linalg.norm(way, axis=1, keepdims=True)])
     weights = np.full(len(near) + int(far.sum()), 1.0 / len(_OUTER))
