@@ -25,7 +25,6 @@ class Settings:
     share: float = 0.25
     rounds: int = 14
     smoothing: int = 1
-    repair: bool = True
     mend: bool = False
 
 
@@ -42,7 +41,7 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
         raise InputError(f"the source {NAME} has no parameter {unknown[0]!r}; there are: {there}")
     made: dict[str, Any] = {}
     for key, value in parameters.items():
-        if key in ("repair", "mend"):
+        if key == "mend":
             made[key] = _truth(value, key)
         elif key in ("max_cells", "rounds", "smoothing"):
             made[key] = _whole(value, key)

@@ -1,15 +1,15 @@
 r"""The geometry source "meccano": closed surface triangulations as spline volumes.
 
     meccano     "auto" (default: pillowed, of a cube for genus 0, else of a polycube), "pillowed", "polycube" (pillowed,
-                also for genus 0), or "cube" (the paper's, for ``space=t-spline``)
-    space       "optimal" (default): truncated hierarchical cubics; "t-spline": the paper's (see `paper`)
+                also for genus 0); "cube", the paper's, is refused: its solids fold along the cube's edges
+    space       "optimal" (default): truncated hierarchical cubics; "t-spline", the paper's, is refused: `t_spline` has
+                the functions, but no solid is built of them here yet
     tolerance   distance from the surface, relative to its diagonal (default 0.004)
     max_cells   most cells of the T-mesh (default 10000)
     stretch     area of the surface per area of a side up to which limbs may be laid small (default 10)
     share       thickness of the pillow, as a part of a block (default 0.25)
     rounds      most rounds of refinement (default 14)
     smoothing   rounds in which boundary points slide along the surface (default 1)
-    repair      t-spline: refine around cells that fold (default true)
     mend        repair small defects of the surface first (default false)
 
 The surface is divided into one patch for each boundary side of the meccano, each patch is laid on its side by mean
