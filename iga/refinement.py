@@ -163,8 +163,8 @@ def refine_complex(mesh: Complex) -> Complex:
         np.array([f.vertices for f in cell.faces if len(f.vertices) == 4], dtype=np.int64).reshape(-1, 4)
         for cell, _ in mesh.parts
     ]
-    edge_numbers, count = _number_entities(mesh, edges)
-    face_numbers, faces = _number_entities(mesh, quadrilaterals)
+    edge_numbers, count = number_entities(mesh, edges)
+    face_numbers, faces = number_entities(mesh, quadrilaterals)
     start = total + count + faces
     parts = []
     for k, (cell, vertices) in enumerate(mesh.parts):
@@ -180,7 +180,7 @@ def refine_complex(mesh: Complex) -> Complex:
     return Complex(tuple(parts))
 
 
-def _number_entities(mesh: Complex, entities: Sequence[Index]) -> tuple[list[Index], int]:
+def number_entities(mesh: Complex, entities: Sequence[Index]) -> tuple[list[Index], int]:
     """Numbers (e, k) of the edges or faces with local vertices ``entities`` (k, m) of each part, and how many."""
     corners = [v[:, local].reshape(-1, local.shape[1]) for (_, v), local in zip(mesh.parts, entities)]
     joined = np.concatenate(corners)

@@ -8,9 +8,6 @@ Axis letters: e hexahedron, v vertex, c component.
 
 from __future__ import annotations
 
-import contextlib
-import io
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geometry.catmull_clark.topology import Topology, build_topology, check_topology, orient
+from geometry.quiet import quiet
 from iga.cells import HEXAHEDRON
 from iga.errors import FormatError, InputError
 
@@ -184,10 +182,8 @@ def _read(path: Path) -> Any:
 
     if not path.is_file():
         raise FormatError(f"{path} does not exist or is no file")
-    said = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with quiet() as said:
             return meshio.read(path)
     except (SystemExit, Exception) as error:  # meshio exits on unknown files and raises anything on damaged ones
         reason = str(error) if not isinstance(error, SystemExit) else said.getvalue()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.parameters import number, require_known, require_one_of, truth
 from iga.errors import FormatError, InputError
 
 Given = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -50,20 +51,18 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     InputError : unknown parameter or value.
     """
     renamed = {"lam" if key == "lambda" else key: value for key, value in parameters.items()}
-    unknown = sorted(set(renamed) - set(Settings.__dataclass_fields__))
-    if unknown:
-        there = ", ".join("lambda" if key == "lam" else key for key in Settings.__dataclass_fields__)
-        raise InputError(f"the source {NAME} has no parameter {unknown[0]!r}; there are: {there}")
+    shown = ["lambda" if key == "lam" else key for key in Settings.__dataclass_fields__]
+    require_known(NAME, ["lambda" if key == "lam" else key for key in renamed], shown)
     made: dict[str, Any] = {}
     for key, value in renamed.items():
         if key == "depth":
             made[key] = None if str(value) == "auto" else _whole(value)
         elif key in ("repair", "pillow", "bound"):
-            made[key] = _truth(value, key)
+            made[key] = truth(value, key)
         elif key in ("lam", "mu", "gamma"):
             made[key] = _parameter(value)
         elif key == "relaxation":
-            made[key] = _number(value, key)
+            made[key] = number(value, key)
         elif key == "attributes":
             parts = value.split(",") if isinstance(value, str) else value
             made[key] = tuple(part.strip() for part in parts if part.strip())
@@ -72,14 +71,12 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
         else:
             made[key] = str(value)
     settings = Settings(**made)
-    for key, allowed in (("interpolate", METHODS), ("space", SPACES)):
-        if getattr(settings, key) not in allowed:
-            raise InputError(f"{key} is {getattr(settings, key)!r}; it must be one of {', '.join(allowed)}")
+    require_one_of(settings.interpolate, "interpolate", METHODS)
+    require_one_of(settings.space, "space", SPACES)
     for key in ("lam", "mu", "gamma"):
         value = getattr(settings, key)
         if isinstance(value, float) and not 0.0 < value < 1.0:
-            shown = "lambda" if key == "lam" else key
-            raise InputError(f"{shown} must lie between 0 and 1, not {value:g}")
+            raise InputError(f"{'lambda' if key == 'lam' else key} must lie between 0 and 1, not {value:g}")
     return settings
 
 
@@ -114,13 +111,13 @@ def read_features(path: Path) -> Given:
     """
     edges: list[list[int]] = []
     corners: list[list[int]] = []
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1):
+    for place, line in enumerate(path.read_text(errors="replace").splitlines(), 1):
         words = line.split("#")[0].split()
         if not words:
             continue
         if len(words) > 2 or not all(word.isdecimal() for word in words):
             shown = line.strip()[:40]
-            raise FormatError(f"{path.name}, line {number}: {shown!r} is neither an edge (two vertices) nor a corner")
+            raise FormatError(f"{path.name}, line {place}: {shown!r} is neither an edge (two vertices) nor a corner")
         (edges if len(words) == 2 else corners).append([int(word) for word in words])
     return np.array(edges, dtype=np.int64).reshape(-1, 2), np.array(corners, dtype=np.int64).ravel()
 
@@ -133,17 +130,3 @@ def _whole(value: Any) -> int:
     if not 0 <= depth <= 6:
         raise InputError(f"depth must be auto or a whole number from 0 to 6, not {value!r}")
     return depth
-
-
-def _number(value: Any, key: str) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{key} must be a number, not {value!r}") from None
-
-
-def _truth(value: Any, key: str) -> bool:
-    text = str(value).lower()
-    if text not in ("true", "false", "1", "0", "yes", "no"):
-        raise InputError(f"{key} must be true or false, not {value!r}")
-    return text in ("true", "1", "yes")

@@ -16,15 +16,15 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-def crossing_pairs(points: Array, triangles: Index, owner: Index, group: Index) -> Index:
+def crossing_pairs(points: Array, triangles: Index, owner: Index | None = None, group: Index | None = None) -> Index:
     """Pairs of triangles that cut each other.
 
     Parameters
     ----------
     points : (v, 3)
     triangles : (t, 3)
-    owner : (t,) triangles of equal owner >= 0 are not tested against each other.
-    group : (t,) pairs with a triangle of group 0 are tested, others are not.
+    owner : (t,) triangles of equal owner >= 0 are not tested against each other; all are if not given.
+    group : (t,) pairs with a triangle of group 0 are tested, others are not; all are if not given.
 
     Returns
     -------
@@ -33,6 +33,8 @@ def crossing_pairs(points: Array, triangles: Index, owner: Index, group: Index) 
     corner = points[triangles]
     low, high = corner.min(axis=1), corner.max(axis=1)
     order = np.argsort(low[:, 0], kind="stable")
+    owner = np.full(len(triangles), -1) if owner is None else owner
+    group = np.zeros(len(triangles), dtype=np.int64) if group is None else group
     found = _sweep(points, triangles, owner, group, low, high, order)
     return np.asarray(found, dtype=np.int64).reshape(-1, 2)
 

@@ -32,10 +32,10 @@ from iga.block import Block, bezier_coefficients
 from iga.cells import CELLS, HEXAHEDRON, PYRAMID, TETRAHEDRON, Cell
 from iga.certificate import certify
 from iga.conditions import trace_functions
-from iga.conforming import Complex, boundary, entity_keys, number
+from iga.conforming import Complex, boundary, number
 from iga.domain import Domain, Facets, Provenance, Space
 from iga.errors import InputError
-from iga.refinement import children, refine_coefficients
+from iga.refinement import children, number_entities, refine_coefficients
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -170,8 +170,8 @@ def refined(old: Bezier) -> Bezier:
         np.array([f.vertices for f in cell.faces if len(f.vertices) == 4], dtype=np.int64).reshape(-1, 4)
         for cell, _ in mesh.parts
     ]
-    on_edges, count = _entities(mesh, edges, total)
-    on_quads, faces = _entities(mesh, quads, total)
+    on_edges, count = number_entities(mesh, edges)
+    on_quads, faces = number_entities(mesh, quads)
     start = total + count + faces
     vertices: dict[str, list[Index]] = {}
     values: dict[str, list[Array]] = {}
@@ -211,17 +211,6 @@ def _coefficients(basis: Bernstein, coefficients: Array) -> list[Array]:
         fine = np.matmul(matrices.reshape(k * m, n), coefficients)
         made.append(fine.reshape(len(coefficients) * k, m, coefficients.shape[2]))
     return made
-
-
-def _entities(mesh: Complex, local: list[Index], total: int) -> tuple[list[Index], int]:
-    """Numbers (e, k) of edges or quadrilaterals with local vertices (k, m) of each part, and how many there are."""
-    corners = [v[:, own].reshape(-1, own.shape[1]) for (_, v), own in zip(mesh.parts, local)]
-    joined = np.concatenate(corners)
-    if not len(joined):
-        return [np.zeros((len(v), 0), dtype=np.int64) for _, v in mesh.parts], 0
-    unique, inverse = np.unique(entity_keys(joined, total), return_inverse=True)
-    pieces = np.split(np.asarray(inverse, dtype=np.int64).ravel(), np.cumsum([len(c) for c in corners])[:-1])
-    return [p.reshape(len(v), len(own)) for p, (_, v), own in zip(pieces, mesh.parts, local)], len(unique)
 
 
 @cache

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from geometry.parameters import number, require_known
 from iga.errors import InputError
 
 NAME = "hybrid"
@@ -38,29 +39,19 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     ------
     InputError : unknown parameter or value.
     """
-    unknown = sorted(set(parameters) - set(Settings.__dataclass_fields__))
-    if unknown:
-        there = ", ".join(Settings.__dataclass_fields__)
-        raise InputError(f"the source {NAME} has no parameter {unknown[0]!r}; there are: {there}")
+    require_known(NAME, parameters, Settings.__dataclass_fields__)
     made: dict[str, Any] = {}
     for key, value in parameters.items():
         if (key == "subdivide" and str(value) == "auto") or (key == "solid" and value is None):
             made[key] = None
         elif key in ("size", "tolerance", "omega", "limit"):
-            made[key] = _number(value, key)
+            made[key] = number(value, key)
         else:
-            number = _number(value, key)
-            if number != int(number):
+            found = number(value, key)
+            if found != int(found):
                 raise InputError(f"{key} must be a whole number, not {value!r}")
-            made[key] = int(number)
+            made[key] = int(found)
         low, high = _RANGES[key]
         if made[key] is not None and not low <= made[key] <= high:
             raise InputError(f"{key} must lie between {low:g} and {high:g}, not {value!r}")
     return Settings(**made)
-
-
-def _number(value: Any, key: str) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{key} must be a number, not {value!r}") from None

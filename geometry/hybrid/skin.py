@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from geometry.hybrid.brep import Brep, Curve, Face, curve_points, surface_frame
 from geometry.hybrid.chart import Chart, chart_points, make_chart, to_chart, to_parameters
+from geometry.hybrid.crossing import crossing_pairs
 from geometry.hybrid.curves import fit_cubics
 from geometry.hybrid.sizing import Sizing, divide_edge, size_at, size_edges
-from geometry.hybrid.skeleton import crossings
 from geometry.hybrid.triangulation import Triangulation, triangulate
 from iga.bernstein import bernstein
 from iga.block import Block
@@ -497,7 +497,7 @@ def _report(
     volume = float(np.einsum("k,ekc,ekc->", rule.weights, X - x.mean(axis=0), normal)) / 3.0
     area = np.einsum("k,ek->e", rule.weights, np.linalg.norm(normal, axis=-1))
     exact = distance <= 1e-9 * brep.diagonal
-    pairs = crossings(x, triangles)
+    pairs = crossing_pairs(x, triangles)
     corners = x[triangles]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
     flat = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from geometry.parameters import number, require_known, require_one_of, truth
 from iga.errors import InputError
 
 NAME = "meccano"
@@ -35,24 +36,20 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     ------
     InputError : unknown parameter or value.
     """
-    unknown = sorted(set(parameters) - set(Settings.__dataclass_fields__))
-    if unknown:
-        there = ", ".join(Settings.__dataclass_fields__)
-        raise InputError(f"the source {NAME} has no parameter {unknown[0]!r}; there are: {there}")
+    require_known(NAME, parameters, Settings.__dataclass_fields__)
     made: dict[str, Any] = {}
     for key, value in parameters.items():
         if key == "mend":
-            made[key] = _truth(value, key)
+            made[key] = truth(value, key)
         elif key in ("max_cells", "rounds", "smoothing"):
             made[key] = _whole(value, key)
         elif key in ("tolerance", "stretch", "share"):
-            made[key] = _number(value, key)
+            made[key] = number(value, key)
         else:
             made[key] = str(value)
     settings = Settings(**made)
-    for key, allowed in (("meccano", MECCANOS), ("space", SPACES)):
-        if getattr(settings, key) not in allowed:
-            raise InputError(f"{key} is {getattr(settings, key)!r}; it must be one of {', '.join(allowed)}")
+    require_one_of(settings.meccano, "meccano", MECCANOS)
+    require_one_of(settings.space, "space", SPACES)
     for key, low, high in (("tolerance", 0.0, 1.0), ("stretch", 1.0, float("inf")), ("share", 0.0, 0.5)):
         if not low < getattr(settings, key) < high:
             raise InputError(f"{key} must lie between {low:g} and {high:g}, not {getattr(settings, key):g}")
@@ -61,23 +58,9 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
 
 def _whole(value: Any, key: str) -> int:
     try:
-        number = int(str(value))
+        found = int(str(value))
     except ValueError:
-        number = -1
-    if number < 0:
+        found = -1
+    if found < 0:
         raise InputError(f"{key} must be a whole number that is not negative, not {value!r}")
-    return number
-
-
-def _number(value: Any, key: str) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{key} must be a number, not {value!r}") from None
-
-
-def _truth(value: Any, key: str) -> bool:
-    text = str(value).lower()
-    if text not in ("true", "false", "1", "0", "yes", "no"):
-        raise InputError(f"{key} must be true or false, not {value!r}")
-    return text in ("true", "1", "yes")
+    return found

@@ -11,9 +11,7 @@ Axis letters: v vertex, t triangle.
 
 from __future__ import annotations
 
-import contextlib
 import io
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +24,7 @@ from scipy.spatial import cKDTree
 
 from geometry.meccano.mending import mended
 from geometry.meccano.surface import Surface, checked_surface, fans, require_numbers
+from geometry.quiet import quiet
 from iga.errors import FormatError, InputError
 
 Array = NDArray[np.float64]
@@ -152,17 +151,8 @@ def _load(path: Path) -> meshio.Mesh:
         raise FormatError(f"{path}: {'is a folder, not a file' if path.is_dir() else 'no such file'}")
     if path.suffix.lower() not in ENDINGS:
         raise FormatError(f"{path}: {path.suffix!r} is no ending of a surface file ({' '.join(ENDINGS)})")
-    said = io.StringIO()
     try:
-        with (
-            contextlib.redirect_stdout(said),
-            contextlib.redirect_stderr(said),
-            warnings.catch_warnings(),
-            np.errstate(all="ignore"),
-        ):
-            warnings.simplefilter("ignore")
-            # NumPy only warns when text ends or turns unreadable in the middle of an array.
-            warnings.filterwarnings("error", message=".*could not be read to its end.*")
+        with quiet():
             if path.suffix.lower() == ".obj":
                 return meshio.read(_geometry_lines(path), file_format="obj")
             if path.suffix.lower() == ".off":

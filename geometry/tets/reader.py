@@ -11,10 +11,7 @@ Axis letters: e tetrahedron, n node, f boundary triangle.
 
 from __future__ import annotations
 
-import contextlib
-import io
 import re
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +21,7 @@ from meshio._helpers import extension_to_filetypes
 from meshio.gmsh import _gmsh41
 from numpy.typing import NDArray
 
+from geometry.quiet import quiet
 from geometry.tets.conversion import degree_of
 from geometry.tets.mesh import LARGEST, TetMesh, checked_mesh
 from geometry.tets.order import ORDERS, node_columns, node_exponents
@@ -91,17 +89,8 @@ def _load(path: Path) -> meshio.Mesh:
         raise FormatError(f"{path}: {'is a folder, not a file' if path.is_dir() else 'no such file'}")
     if not any(path.name.lower().endswith(ending) for ending in extensions()):
         raise FormatError(f"{path}: {path.suffix!r} is no ending of a known mesh format ({' '.join(extensions())})")
-    said = io.StringIO()
     try:
-        with (
-            contextlib.redirect_stdout(said),
-            contextlib.redirect_stderr(said),
-            warnings.catch_warnings(),
-            np.errstate(all="ignore"),
-        ):
-            warnings.simplefilter("ignore")
-            # NumPy only warns when text ends or turns unreadable in the middle of an array.
-            warnings.filterwarnings("error", message=".*could not be read to its end.*")
+        with quiet() as said:
             mesh = _read_with_partial_tags(path)
     except (Exception, SystemExit) as error:
         # meshio prints the reason before it exits.

@@ -11,8 +11,8 @@ import pytest
 from geometry.hybrid import read_cad, shapes
 from geometry.hybrid.brep import Brep, surface_points
 from geometry.hybrid.chart import make_chart, to_chart, to_parameters
+from geometry.hybrid.crossing import crossing_pairs
 from geometry.hybrid.curves import bezier_points, fit_cubics
-from geometry.hybrid.skeleton import crossings
 from geometry.hybrid.skin import Skin, build_skin
 from geometry.hybrid.triangulation import triangulate
 from iga.bernstein import bernstein
@@ -82,9 +82,9 @@ def test_square_with_a_hole_is_triangulated() -> None:
 
 def test_crossing_triangles_are_found() -> None:
     x = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.2, 0.2, -1), (0.3, 0.2, 1), (0.2, 0.3, 1), (2, 2, 2.0)])
-    assert crossings(x, np.array([(0, 1, 2), (3, 4, 5)])).tolist() == [[0, 1]]
-    assert len(crossings(x, np.array([(0, 1, 2), (4, 5, 6)]))) == 0
-    assert len(crossings(x, np.array([(0, 1, 2), (0, 4, 5)]))) == 0
+    assert crossing_pairs(x, np.array([(0, 1, 2), (3, 4, 5)])).tolist() == [[0, 1]]
+    assert len(crossing_pairs(x, np.array([(0, 1, 2), (4, 5, 6)]))) == 0
+    assert len(crossing_pairs(x, np.array([(0, 1, 2), (0, 4, 5)]))) == 0
 
 
 @pytest.mark.parametrize(("name", "share"), [("bracket", 0.7), ("curved_difference", 0.0)])

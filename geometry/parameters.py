@@ -1,0 +1,59 @@
+"""Parameters of sources, as a command line gives them (texts) or as Python values; messages name the parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from iga.errors import InputError
+
+
+def require_known(source: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse names that the source does not have.
+
+    Raises
+    ------
+    InputError : the first unknown name.
+    """
+    there = list(known)
+    unknown = sorted(set(given) - set(there))
+    if unknown:
+        raise InputError(f"the source {source} has no parameter {unknown[0]!r}; there are: {', '.join(there)}")
+
+
+def number(value: Any, key: str) -> float:
+    """A real number.
+
+    Raises
+    ------
+    InputError : it is none.
+    """
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{key} must be a number, not {value!r}") from None
+
+
+def truth(value: Any, key: str) -> bool:
+    """A truth value.
+
+    Raises
+    ------
+    InputError : it is none.
+    """
+    text = str(value).lower()
+    if text not in ("true", "false", "1", "0", "yes", "no"):
+        raise InputError(f"{key} must be true or false, not {value!r}")
+    return text in ("true", "1", "yes")
+
+
+def require_one_of(value: Any, key: str, allowed: Iterable[str]) -> None:
+    """Refuse a word that is none of the allowed ones.
+
+    Raises
+    ------
+    InputError : it is none of them.
+    """
+    words = tuple(allowed)
+    if value not in words:
+        raise InputError(f"{key} is {value!r}; it must be one of {', '.join(words)}")
