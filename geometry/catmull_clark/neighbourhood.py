@@ -110,8 +110,14 @@ def _seed(values: Index) -> Colours:
     return _mix(_mix(values.astype(np.uint64)))
 
 
-def neighbourhoods(topology: Topology, cells: Index) -> Neighbourhood:
-    """Canonically ordered neighbourhoods of some cells; see the module docstring."""
+def neighbourhoods(topology: Topology, cells: Index, turn: bool = True) -> Neighbourhood:
+    """Canonically ordered neighbourhoods of some cells; see the module docstring.
+
+    Parameters
+    ----------
+    turn : whether to turn cells into the frame of their class; if not, cells are of one class only if they are alike as
+        numbered in the mesh.
+    """
     t = topology
     near = incidence(t.hexes[cells], t.vertices) @ t.cells_of_vertex
     owner = np.repeat(np.arange(len(cells)), np.diff(near.indptr))
@@ -126,9 +132,11 @@ def neighbourhoods(topology: Topology, cells: Index) -> Neighbourhood:
 
     colour = np.full(len(unique), _seed(np.array([1]))[0], dtype=np.uint64)
     colour[root] = _seed(10 + kind)
-    for _ in range(3):
-        colour = gather.refine(colour)
-    rotation = _smallest(colour[root])
+    rotation = np.zeros(len(cells), dtype=np.int64)
+    if turn:
+        for _ in range(3):
+            colour = gather.refine(colour)
+        rotation = _smallest(colour[root])
     turned = np.take_along_axis(root, ROTATIONS[rotation], axis=1)
     colour = np.full(len(unique), _seed(np.array([1]))[0], dtype=np.uint64)
     colour[turned] = _seed(100 + 8 * np.take_along_axis(kind, ROTATIONS[rotation], axis=1) + np.arange(8))
