@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.tet_to_hex import degenerate_to_tet_points, hex_to_tet_points
 from geometry.tets import TetMesh, domain_of, read_tets, shapes, tets_to_degenerate_hexes, tets_to_hexes
-from geometry.tets.conversion import degenerate_to_tet_points, hex_to_tet_points
 from geometry.tets.detection import hexes_to_tets
 from iga.bernstein import bernstein
 from iga.cells import HEXAHEDRON, TETRAHEDRON

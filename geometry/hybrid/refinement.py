@@ -267,7 +267,7 @@ def domain_of(old: Domain, fine: Bezier, report: Mapping[str, Any]) -> Domain:
             Facets(int(b), int(f), np.sort(own[(own[:, 0] == b) & (own[:, 2] == f), 1])) for b, f in kinds
         )
     corners = {f"corners{k}": own for k, (_, own) in enumerate(fine.mesh.parts)}
-    kept = {k: v for k, v in old.provenance.arrays.items() if not k.startswith("corners")}
+    kept = {k: v for k, v in old.provenance.arrays.items() if not k.startswith(("corners", "tets"))}
     origin = old.provenance
     return Domain(
         Space(tuple(Block(bernstein(c, fine.degree), d) for (c, _), d in zip(fine.mesh.parts, dofs)), n, weights),

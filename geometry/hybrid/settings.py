@@ -24,12 +24,15 @@ class Settings:
     omega: float = 0.5
     subdivide: int | None = None
     limit: float = 300.0
+    convert: str = "none"
 
 
 _RANGES: dict[str, tuple[float, float]] = {
     "solid": (0, 10**6), "degree": (3, 8), "size": (1e-4, 1.0), "tolerance": (1e-10, 0.1), "layers": (0, 20),
     "omega": (0.01, 0.95), "subdivide": (0, 4), "limit": (1.0, 1e6),
 }
+
+_WORDS = {"convert": ("none", "hex4")}
 
 
 def parse(parameters: Mapping[str, Any]) -> Settings:
@@ -44,6 +47,11 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     for key, value in parameters.items():
         if (key == "subdivide" and str(value) == "auto") or (key == "solid" and value is None):
             made[key] = None
+        elif key in _WORDS:
+            made[key] = str(value).lower()
+            if made[key] not in _WORDS[key]:
+                raise InputError(f"{key} must be one of {', '.join(_WORDS[key])}, not {value!r}")
+            continue
         elif key in ("size", "tolerance", "omega", "limit"):
             made[key] = number(value, key)
         else:

@@ -11,6 +11,7 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
                 the skin has few elements, which would leave next to no vertex inside the solid, and once more if
                 elements are left that are not certified
     limit       seconds after which a mesh generator is stopped (default 300)
+    convert     none (default), or hex4: each tetrahedron becomes four hexahedra, exactly
 
 The input is a STEP or IGES file, or the name of a shape (`shapes`). Boundaries carry the names of the CAD faces.
 """
@@ -23,6 +24,7 @@ from typing import Any
 from geometry.hybrid import refinement
 from geometry.hybrid.brep import Brep
 from geometry.hybrid.cad import cad_format, read_cad
+from geometry.hybrid.hexes import has_hexes, with_hexes, with_tets
 from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.settings import NAME, Settings, parse
 from geometry.hybrid.shapes import SHAPES
@@ -30,6 +32,7 @@ from geometry.hybrid.shell import Shell, shell_of
 from geometry.hybrid.skin import build_skin
 from geometry.hybrid.subdividing import subdivided
 from geometry.hybrid.volume import complete
+from iga.cells import HEXAHEDRON
 from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
 from iga.progress import QUIET, Progress, progress
@@ -81,6 +84,8 @@ def domain_of(brep: Brep, settings: Settings | None = None, source: str = "", sh
     domain = volume_under(shell_of(skin), settings, source, provenance, shown)
     if settings.degree > 3:
         domain = refinement.refine(domain, 0, settings.degree - 3)
+    if settings.convert == "hex4":
+        domain = with_hexes(domain)
     distance = skin.report.get("max_distance")
     told = {key: value for key, value in skin.report.items() if key not in ("volume", "elements", "max_distance")}
     domain = with_report(domain, cad_faces=len(brep.faces), cad_volume=brep.volume, **told)
@@ -131,7 +136,8 @@ def _told(made: Domain | InputError, times: int) -> Domain:
 def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
     """Refine a volume: every cell, face to face.
 
-    The boundary stays exactly, and so does the map outside pyramids.
+    The boundary stays exactly, and so does the map outside pyramids. Hexahedra made of tetrahedra are cut themselves if
+    there are no other cells; beside pyramids and wedges the tetrahedra are, and turned into hexahedra again.
 
     Raises
     ------
@@ -139,4 +145,6 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
     """
     if domain.provenance.source != NAME:
         raise InputError(f"the domain was made by {domain.provenance.source or 'hand'}, not by {NAME}")
+    if has_hexes(domain) and {b.basis.cell for b in domain.space.blocks} != {HEXAHEDRON}:
+        return with_hexes(refinement.refine(with_tets(domain), levels, elevate))
     return refinement.refine(domain, levels, elevate)

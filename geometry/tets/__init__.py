@@ -1,6 +1,6 @@
 """Geometry source for tetrahedral meshes: Bezier tetrahedra as they stand, or converted exactly to hexahedra."""
 
-from geometry.tets.conversion import tets_to_degenerate_hexes, tets_to_hexes
+from geometry.tet_to_hex import tets_to_degenerate_hexes, tets_to_hexes
 from geometry.tets.domain import domain_of
 from geometry.tets.mesh import TetMesh, checked_mesh
 from geometry.tets.reader import read_tets

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.tets.conversion import AXES, degree_of, tets_to_hexes
+from geometry.tet_to_hex import AXES, degree_of, tets_to_hexes
 from iga.bernstein import bernstein
 from iga.cells import HEXAHEDRON, TETRAHEDRON
 from iga.errors import InputError

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from geometry.tets.conversion import AXES, degenerate_matrix, hex_matrices
+from geometry.tet_to_hex import AXES, degenerate_matrix, hex_matrices
 from geometry.tets.mesh import corner_columns
 from iga.bernstein import bernstein
 from iga.cells import HEXAHEDRON

@@ -21,15 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.tets.boundary import split_by_angle
-from geometry.tets.conversion import (
+from geometry.tet_to_hex import (
     degenerate_matrix,
     degenerate_to_tet_points,
     hex_matrices,
     hex_to_tet_points,
     tets_to_hexes,
 )
-from geometry.tets.hexes import DEGENERATE_FACES, hex_facets, hex_vertices
+from geometry.tet_to_hex_mesh import DEGENERATE_FACES, hex_facets, hex_vertices
+from geometry.tets.boundary import split_by_angle
 from geometry.tets.mesh import TetMesh
 from iga.bernstein import bernstein, elevation
 from iga.block import Block, Patterns

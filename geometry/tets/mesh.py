@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geometry.tets.conversion import degree_of
+from geometry.tet_to_hex import degree_of
+from geometry.tet_to_hex_mesh import FACES
 from iga.bernstein import bernstein, functions_at
 from iga.cells import TETRAHEDRON
 from iga.conforming import entity_keys
@@ -27,9 +28,6 @@ from iga.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-#: Vertices (4, 3) of the faces of a tetrahedron; face i lies opposite to vertex i.
-FACES: Index = np.array([face.vertices for face in TETRAHEDRON.faces], dtype=np.int64)
 
 #: A tetrahedron with a smaller determinant than this times its longest edge cubed has no volume.
 _FLAT = 1e-13

@@ -22,7 +22,7 @@ from meshio.gmsh import _gmsh41
 from numpy.typing import NDArray
 
 from geometry.quiet import quiet
-from geometry.tets.conversion import degree_of
+from geometry.tet_to_hex import degree_of
 from geometry.tets.mesh import LARGEST, TetMesh, checked_mesh
 from geometry.tets.order import ORDERS, node_columns, node_exponents
 from iga.bernstein import bernstein, elevation, greville, lagrange_to_bernstein

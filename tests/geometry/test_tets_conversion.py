@@ -10,7 +10,7 @@ from math import comb, factorial
 import numpy as np
 import pytest
 
-from geometry.tets.conversion import (
+from geometry.tet_to_hex import (
     AXES,
     degenerate_matrix,
     degenerate_to_tet_points,

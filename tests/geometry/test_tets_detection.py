@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geometry.tets.conversion import degenerate_matrix, tets_to_degenerate_hexes, tets_to_hexes
+from geometry.tet_to_hex import degenerate_matrix, tets_to_degenerate_hexes, tets_to_hexes
 from geometry.tets.detection import cube_symmetries, hex_groups_to_tets, hexes_to_tets, symmetry_faces, symmetry_sign
 from geometry.tets.mesh import straight_determinants
 from geometry.tets.shapes import ball

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from geometry.tets.conversion import degree_of
+from geometry.tet_to_hex import degree_of
 from geometry.tets.domain import domain_of
 from geometry.tets.mesh import TetMesh, checked_mesh, straight_determinants
 from geometry.tets.order import node_columns, node_exponents

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geometry.tets.conversion import tets_to_hexes
+from geometry.tet_to_hex import tets_to_hexes
 from geometry.tets.domain import domain_of
 from geometry.tets.shapes import ball, cube, mapped
 from geometry.tets.source import refine

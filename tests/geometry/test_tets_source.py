@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geometry.tets.conversion import hex_to_tet_points
+from geometry.tet_to_hex import hex_to_tet_points
 from geometry.tets.domain import domain_of
 from geometry.tets.mesh import TetMesh, checked_mesh
 from geometry.tets.shapes import ball, cube, mapped
@@ -109,7 +109,7 @@ def test_hexes_evaluate_as_their_tetrahedra():
 
 def test_shared_control_points_agree_to_the_last_digits():
     """Numbering by topology never averages: what the last hexahedron wrote, its neighbours would have written too."""
-    from geometry.tets.conversion import tets_to_hexes
+    from geometry.tet_to_hex import tets_to_hexes
 
     mesh = mapped(ball(1, 3), bend)
     domain = domain_of(mesh, "hex4")

@@ -99,7 +99,7 @@ def test_bad_input_is_one_line(ball: Path, tmp_path: Path, capsys: pytest.Captur
 
 
 def test_folded_solids_are_built_and_not_solved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from geometry.tets.conversion import degree_of
+    from geometry.tet_to_hex import degree_of
     from iga.store import load, save
 
     path = tmp_path / "folded.npz"

@@ -12,13 +12,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.tets.conversion import AXES
-from geometry.tets.mesh import FACES
+from geometry.tet_to_hex import AXES
 from iga.cells import HEXAHEDRON, TETRAHEDRON
 from iga.conforming import entity_keys
 
 Index = NDArray[np.int64]
 
+#: Vertices (4, 3) of the faces of a tetrahedron; face i lies opposite to vertex i.
+FACES: Index = np.array([face.vertices for face in TETRAHEDRON.faces], dtype=np.int64)
 #: Face of the degenerate hexahedron (Theorem 1) that each face of the tetrahedron becomes: t=1, r=0, s=0, t=0.
 DEGENERATE_FACES: Index = np.array([5, 0, 2, 4], dtype=np.int64)
 
