@@ -29,14 +29,13 @@ from geometry.meccano.bisection import FULL, kuhn, oriented, picture, refine_all
 from geometry.meccano.blocks import cube, pillowed, place
 from geometry.meccano.collocation import collocation, quasi_interpolation
 from geometry.meccano.hierarchical import hierarchy
+from geometry.meccano.interpolation import collocation as rational_values
+from geometry.meccano.interpolation import interpolate, points_and_slopes
 from geometry.meccano.parametrisation import Parametrisation, image
 from geometry.meccano.relocation import ideal_gradients, relocate
-from geometry.meccano.t_spline import TSpline, interpolate, t_spline
-from geometry.meccano.t_spline import collocation as rational_values
+from geometry.meccano.t_spline import TSpline, t_spline
 from geometry.meccano.tmesh import TMesh, cells_at, octree, refined, uniform
 from geometry.meccano.volume import parametrise
-from iga.chunk import Chunk
-from iga.domain import Domain
 from iga.progress import Progress
 from studies.figures import drawing
 from studies.study import Figure, Result, Size
@@ -163,19 +162,7 @@ def _jacobians(model: _Model, block: Index, xi: Array) -> Array:
     if model.own is None:
         space = hierarchy(model.tmesh)
         return np.stack([collocation(space, block, xi, step) @ model.control for step in ((1, 0), (0, 1))], axis=-1)
-    own = model.own
-    domain = Domain(own.space, np.column_stack([model.control, np.zeros(len(model.control))]))
-    result = np.empty((len(xi), 2, 2))
-    inside = np.full(len(xi), -1, dtype=np.int64)
-    for e, (low, high) in enumerate(zip(own.low / FULL, own.high / FULL, strict=True)):
-        inside[((low <= xi) & (xi < high)).all(axis=1)] = e
-    for e in np.unique(inside):
-        rows = np.flatnonzero(inside == e)
-        number, element = own.element[e]
-        low, size = own.low[e] / FULL, (own.high[e] - own.low[e]) / FULL
-        chunk = Chunk(domain, int(number), np.array([element]), (xi[rows] - low) / size, np.ones(len(rows)))
-        result[rows] = chunk.J[0, :, :2] / size
-    return result
+    return points_and_slopes(model.own, model.control, xi)[1]
 
 
 def _scale(J: Array) -> Array:

@@ -12,6 +12,8 @@ from iga.errors import InputError
 NAME = "meccano"
 MECCANOS = ("auto", "pillowed", "cube", "polycube")
 SPACES = ("optimal", "t-spline")
+MEASURES = ("volume", "distance")
+REMEDIES = ("refine", "untangle", "none")
 
 
 @dataclass(frozen=True)
@@ -20,13 +22,25 @@ class Settings:
 
     meccano: str = "auto"
     space: str = "optimal"
-    tolerance: float = 0.004
+    tolerance: float | None = None
     max_cells: int = 10000
     stretch: float = 10.0
     share: float = 0.25
     rounds: int = 14
     smoothing: int = 1
     mend: bool = False
+    measure: str = "volume"
+    remedy: str = "refine"
+
+    @property
+    def as_paper(self) -> bool:
+        """Whether the solid is built as in the paper, on a meccano without pillow."""
+        return self.meccano == "cube" or self.space == "t-spline"
+
+    @property
+    def aim(self) -> float:
+        """The tolerance, or what it is if none is given."""
+        return self.tolerance if self.tolerance is not None else 0.005 if self.as_paper else 0.004
 
 
 def parse(parameters: Mapping[str, Any]) -> Settings:
@@ -50,8 +64,13 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     settings = Settings(**made)
     require_one_of(settings.meccano, "meccano", MECCANOS)
     require_one_of(settings.space, "space", SPACES)
-    for key, low, high in (("tolerance", 0.0, 1.0), ("stretch", 1.0, float("inf")), ("share", 0.0, 0.5)):
+    require_one_of(settings.measure, "measure", MEASURES)
+    require_one_of(settings.remedy, "remedy", REMEDIES)
+    if settings.meccano == "pillowed" and settings.space == "t-spline":
+        raise InputError("the paper's T-splines need meccano=cube or meccano=polycube; they have no pillowed form")
+    for key, low, high in (("aim", 0.0, 1.0), ("stretch", 1.0, float("inf")), ("share", 0.0, 0.5)):
         if not low < getattr(settings, key) < high:
+            key = "tolerance" if key == "aim" else key
             raise InputError(f"{key} must lie between {low:g} and {high:g}, not {getattr(settings, key):g}")
     return settings
 

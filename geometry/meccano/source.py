@@ -1,15 +1,20 @@
 r"""The geometry source "meccano": closed surface triangulations as spline volumes.
 
     meccano     "auto" (default: pillowed, of a cube for genus 0, else of a polycube), "pillowed", "polycube" (pillowed,
-                also for genus 0); "cube", the paper's, is refused: its solids fold along the cube's edges
-    space       "optimal" (default): truncated hierarchical cubics; "t-spline", the paper's, is refused: `t_spline` has
-                the functions, but no solid is built of them here yet
-    tolerance   distance from the surface, relative to its diagonal (default 0.004)
+                also for genus 0), "cube" (the paper's; its solids fold along the cube's edges, see `paper`)
+    space       "optimal" (default): truncated hierarchical cubics; "t-spline": the paper's rational T-splines on a
+                cube, or on a polycube without pillow, good for the geometry itself only; they fold as above
+    tolerance   distance from the surface, relative to its diagonal (default 0.004; 0.005 for the paper's solids, where
+                it steers the tetrahedra, and needing more than max_cells cells is refused)
     max_cells   most cells of the T-mesh (default 10000)
     stretch     area of the surface per area of a side up to which limbs may be laid small (default 10)
     share       thickness of the pillow, as a part of a block (default 0.25)
     rounds      most rounds of refinement (default 14)
     smoothing   rounds in which boundary points slide along the surface (default 1)
+    measure     of the paper's solids: "volume" (default), the paper's d(T) below the cube of the tolerance, or
+                "distance", a length below the tolerance
+    remedy      of the paper's solids: "refine" (default), split cells with a negative centre; "untangle", move inner
+                control points; "none"
     mend        repair small defects of the surface first (default false)
 
 The surface is divided into one patch for each boundary side of the meccano, each patch is laid on its side by mean
@@ -21,17 +26,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.meccano import surface_file
+from geometry.meccano.adaptation import Measure
 from geometry.meccano.blocks import pillowed
 from geometry.meccano.boundary_map import BoundaryMap, boundary_map, carried, on_surface
 from geometry.meccano.distance import distances
 from geometry.meccano.domain import build_domain, refine_domain
 from geometry.meccano.hierarchical import hierarchy
+from geometry.meccano.paper import Kind, Remedy, boundary_triangles, paper_solid
 from geometry.meccano.partition import partition
 from geometry.meccano.polycube import polycube_map
 from geometry.meccano.settings import NAME, Settings, parse
@@ -39,7 +46,7 @@ from geometry.meccano.shapes import SHAPES
 from geometry.meccano.solid import Aims, solid_of, tessellation
 from geometry.meccano.surface import Surface, genus, volume
 from geometry.meccano.tmesh import uniform
-from iga.domain import Domain, Provenance
+from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
 from iga.progress import QUIET, Progress, progress
 
@@ -101,11 +108,11 @@ def domain_of(
     source : name of the input, for the provenance.
     """
     settings, clock, report = settings or Settings(), clock or Clock(), dict(report or {})
-    if settings.space == "t-spline" or settings.meccano == "cube":
-        raise InputError("space=t-spline and meccano=cube are not built yet; use the defaults")
     mapping, found = map_of(surface, settings, shown)
     report |= found
     clock.lap("boundary_map")
+    if settings.as_paper:
+        return _as_paper(mapping, surface, settings, source, report, clock, shown)
     blocks = pillowed(mapping.blocks, settings.share)
     mapping = carried(mapping, blocks)
     start = uniform(blocks, 2 if len(blocks.corners) <= 16 else 1, 1)
@@ -113,7 +120,7 @@ def domain_of(
         start = uniform(blocks, 1, 1)
     if start.cells > settings.max_cells:
         raise InputError(f"the meccano has {len(blocks.corners)} blocks, too many for max_cells={settings.max_cells}")
-    aims = Aims(settings.tolerance * surface.diagonal, settings.max_cells, settings.rounds, settings.smoothing)
+    aims = Aims(settings.aim * surface.diagonal, settings.max_cells, settings.rounds, settings.smoothing)
     solid, history = solid_of(
         hierarchy(start), lambda side, s: on_surface(mapping, side, s)[0], surface, aims, shown
     )
@@ -124,9 +131,30 @@ def domain_of(
     report |= {
         "blocks": len(blocks.corners), "cells": solid.space.tmesh.cells, "surface_volume": volume(surface),
         "levels": np.bincount(solid.space.tmesh.level).tolist(), "rounds": history, "seconds": clock.seconds,
-        "within_tolerance": bool(report["distance"]["relative"] <= settings.tolerance),
+        "within_tolerance": bool(report["distance"]["relative"] <= settings.aim),
     }
     return build_domain(solid.space, solid.points, Provenance(NAME, source, vars(settings).copy()), report)
+
+
+def _as_paper(
+    mapping: BoundaryMap, surface: Surface, settings: Settings, source: str, report: dict[str, Any], clock: Clock,
+    shown: Progress,
+) -> Domain:
+    kind: Kind = "t-spline" if settings.space == "t-spline" else "optimal"
+    solid = paper_solid(
+        mapping, kind, settings.aim * surface.diagonal, cast(Measure, settings.measure), cast(Remedy, settings.remedy),
+        settings.rounds, settings.max_cells, clock.lap, shown,
+    )
+    made = build_domain(solid.fit.space, solid.fit.points, Provenance(NAME, source, vars(settings).copy()))
+    distance = distances(surface, *boundary_triangles(made))
+    clock.lap("distance")
+    between = solid.report["between_spaces"]
+    report |= solid.report | {
+        "blocks": len(mapping.blocks.corners), "surface_volume": volume(surface), "distance": distance,
+        "between_spaces": {**between, "relative": between["largest"] / surface.diagonal}, "seconds": clock.seconds,
+        "within_tolerance": bool(distance["relative"] <= settings.aim),
+    }
+    return with_report(made, **report)
 
 
 def map_of(surface: Surface, settings: Settings, shown: Progress) -> tuple[BoundaryMap, dict[str, Any]]:

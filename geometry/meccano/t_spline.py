@@ -21,8 +21,7 @@ polynomial on each. Their Bernstein coefficients are blossoms of the pieces,
 and depend on the knots relative to the element only, so elements share patterns. All coordinates are integers over
 2^LEVELS and all comparisons are exact.
 
-Control points interpolate given images of the anchors (equation (11)): a sparse LU, whose success also shows that the
-blending functions are independent.
+Values, and control points that interpolate, are in `interpolation`.
 
 Axis letters: a anchor (function), d direction, c cell, e element, j Bernstein function, m pair of function and cell.
 """
@@ -33,8 +32,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array, diags_array
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from geometry.meccano.blocks import Blocks, cube
 from geometry.meccano.distinct import distinct
@@ -44,7 +41,6 @@ from geometry.meccano.tmesh import TMesh, cells_of, divmod_side
 from iga.bernstein import bernstein
 from iga.block import Block, Patterns
 from iga.domain import Facets, Space
-from iga.errors import ConvergenceError, InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -268,96 +264,6 @@ def _pieces(knots: Array) -> Array:
         coefficients[:, j] = N[:, 0]
     # Pieces of B-splines have non-negative coefficients; what rounding leaves of zeros is below 1e-16.
     return np.where(coefficients < 1e-15, 0.0, coefficients)
-
-
-# --- values and interpolation -----------------------------------------------------------------------------------------
-
-
-def blending(own: TSpline, x: Array) -> csr_array:
-    """Values B_a, before the quotient, at points x (q, d) of the enclosing cube [0, 1]^d: (q, n).
-
-    Raises
-    ------
-    InputError : a point lies outside the meccano.
-    """
-    d = own.tmesh.dim
-    x = np.asarray(x, dtype=float).reshape(-1, d) * _FULL
-    cells = np.full(len(x), -1, dtype=np.int64)
-    for offset in np.ndindex(*(2,) * d):  # on faces any cell that touches the point will do
-        probe = np.clip(np.ceil(x).astype(np.int64) - 1 if sum(offset) == d else _floor(x, offset), 0, _FULL - 1)
-        found = cells_of(own.tmesh, np.zeros(len(x), dtype=np.int64), probe)
-        cells = np.where((cells < 0) & (own.owner[found] >= 0), found, cells)
-    if (cells < 0).any():
-        raise InputError(f"point {int(np.flatnonzero(cells < 0)[0])} lies outside the meccano")
-    count = (own.start[1:] - own.start[:-1])[cells]
-    point = np.repeat(np.arange(len(x)), count)
-    place = np.arange(len(point)) - np.repeat(np.cumsum(count) - count, count)
-    function = own.acting[own.start[cells[point]] + place]
-    values = np.ones(len(point))
-    for axis in range(d):
-        values *= _b_spline(own.knots[function, axis].astype(np.float64), x[point, axis])
-    made = coo_array((values, (point, function)), shape=(len(x), own.space.n)).tocsr()
-    made.eliminate_zeros()
-    return made
-
-
-def collocation(own: TSpline, x: Array) -> csr_array:
-    """Values of the rational functions R_a at points x (q, d) of the enclosing cube: (q, n)."""
-    B = blending(own, x)
-    return csr_array(diags_array(1.0 / B.sum(axis=1)) @ B)
-
-
-def interpolate(own: TSpline, images: Array) -> tuple[Array, dict[str, float]]:
-    """Control points (n, c) with S(t_a) = images (n, c) for all anchors.
-
-    Returns
-    -------
-    Control points, and ``residual`` (relative to the largest image) and ``condition`` (in the 2-norm).
-
-    Raises
-    ------
-    ConvergenceError : the matrix is singular, or the residual is above 1e-10.
-    """
-    A = collocation(own, own.anchors / _FULL)
-    try:
-        factors = splu(A.tocsc())
-    except RuntimeError as error:
-        raise ConvergenceError(f"the T-spline blending functions are not independent ({error})") from None
-    points = factors.solve(np.ascontiguousarray(images, dtype=float))
-    residual = float(np.abs(A @ points - images).max() / max(np.abs(images).max(), np.finfo(float).tiny))
-    if not residual < 1e-10:
-        raise ConvergenceError(f"interpolation at the anchors left a relative residual of {residual:.1e}")
-    return points, {"residual": residual, "condition": _condition(A, factors)}
-
-
-def _condition(A: csr_array, factors: object) -> float:
-    """Condition number in the 2-norm: exact for few functions, to a few digits by Lanczos for many."""
-    n = A.shape[0]
-    if n <= 300:
-        return float(np.linalg.cond(A.toarray()))
-    solve = factors.solve  # type: ignore[attr-defined]
-    start = np.random.default_rng(11).standard_normal(n)
-    square = LinearOperator((n, n), matvec=lambda v: A.T @ (A @ v))
-    inverse = LinearOperator((n, n), matvec=lambda v: solve(solve(np.ravel(v), "T")))
-    largest, least = (
-        float(eigsh(op, 1, v0=start, tol=1e-3, return_eigenvectors=False)[0]) for op in (square, inverse)
-    )
-    return float(np.sqrt(largest * least))
-
-
-def _floor(x: Array, offset: tuple[int, ...]) -> Index:
-    """Integer points just above (0) or below (1) in each direction."""
-    return np.where(np.array(offset), np.ceil(x) - 1, np.floor(x)).astype(np.int64)
-
-
-def _b_spline(knots: Array, x: Array) -> Array:
-    """Values (m,) of cubic B-splines with knots (m, 5)."""
-    N = ((knots[:, :-1] <= x[:, None]) & (x[:, None] < knots[:, 1:])).astype(np.float64)
-    for p in range(1, 4):
-        rising = (x[:, None] - knots[:, : 4 - p]) / (knots[:, p:4] - knots[:, : 4 - p])
-        falling = (knots[:, p + 1 :] - x[:, None]) / (knots[:, p + 1 :] - knots[:, 1 : 5 - p])
-        N = rising * N[:, :-1] + falling * N[:, 1:]
-    return N[:, 0]
 
 
 # --- boundary ---------------------------------------------------------------------------------------------------------

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from geometry.meccano.blocks import cube, place
+from geometry.meccano.interpolation import blending, collocation, interpolate
 from geometry.meccano.parametrisation import LEVELS
-from geometry.meccano.t_spline import TSpline, blending, boundaries, collocation, interpolate, places_of, t_spline
+from geometry.meccano.t_spline import TSpline, boundaries, places_of, t_spline
 from geometry.meccano.tmesh import TMesh, octree, refined, uniform
 from iga.assembly import volume
 from iga.block import dense_extraction
