@@ -2,8 +2,8 @@ r"""The paper's solid: tetrahedra of the meccano, the octree of their nodes, and
 
     boundary map -> adapted tetrahedra, untangled and smoothed -> octree until no cell has a node inside
                  -> "t-spline": the rational T-splines that interpolate the map of the tetrahedra at all anchors
-                    "optimal": truncated hierarchical cubics with clamped knots on the same octree, quasi-interpolating
-                    the same map
+                    "optimal": truncated hierarchical cubics with clamped knots on the same octree, nearest to the same
+                    map in the mean square, on the boundary first
 
 Where the solid is smooth at an edge of the cube, cells there have two faces in one tangent plane, so det J vanishes at
 the edge whatever the inner points are. The paper's remedy splits cells whose centre is negative, for a few rounds; the
@@ -24,20 +24,25 @@ from numpy.typing import NDArray
 
 from geometry.meccano.adaptation import Measure
 from geometry.meccano.bisection import FULL
+from geometry.meccano.blocks import place
 from geometry.meccano.boundary_map import BoundaryMap, on_surface
-from geometry.meccano.collocation import quasi_interpolation
 from geometry.meccano.domain import bare
+from geometry.meccano.fitting import fit_boundary, greville_points
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.interpolation import interpolate, points_and_slopes
 from geometry.meccano.parametrisation import Parametrisation, image
+from geometry.meccano.skin import facet_rule, places_on, skin_of
 from geometry.meccano.t_spline import TSpline, places_of, t_spline
 from geometry.meccano.tmesh import TMesh, cells_at, octree
 from geometry.meccano.volume import Stage, parametrise
+from iga.assembly import matrix
 from iga.certificate import certify, summary
-from iga.chunk import Chunk
+from iga.chunk import Chunk, rule_for
 from iga.conditions import trace_functions
 from iga.domain import Domain
 from iga.errors import InputError
+from iga.integrands import Mass
+from iga.linear.solvers import solve
 from iga.progress import QUIET, Progress
 from iga.quadrature import gauss
 from iga.scaled_jacobian import scale
@@ -51,6 +56,7 @@ Remedy = Literal["none", "refine", "untangle"]
 
 _TETS_PER_CELL = 60  # far more than an octree of their nodes needs
 _ROUNDS = 8
+_SAMPLES = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +105,38 @@ def nodes_of(mapping: Parametrisation) -> tuple[Index, Index]:
 def fit(kind: Kind, tmesh: TMesh, mapping: Parametrisation) -> Fit:
     """Splines on a T-mesh, close to the map of the tetrahedra."""
     if kind == "optimal":
-        space = hierarchy(tmesh)
-        block, xi, matrix = quasi_interpolation(space)
-        return Fit(tmesh, space, matrix @ image(mapping, block, xi))
+        return _projected(hierarchy(tmesh), mapping)
     own = t_spline(tmesh)
     points, numbers = interpolate(own, image(mapping, *places_of(own, own.anchors)))
     return Fit(tmesh, own, points, numbers)
+
+
+def _projected(space: Hierarchy, mapping: Parametrisation) -> Fit:
+    """Nearest in L2: first on the boundary, then inside."""
+    tmesh, skin = space.tmesh, skin_of(space)
+    block, xi = greville_points(space)
+    picture = Domain(space.space, place(tmesh.blocks, block, xi))
+    rule = facet_rule(_SAMPLES)
+    points = fit_boundary(skin, image(mapping, block, xi), rule, image(mapping, *places_on(skin, rule)), fairness=1e-6)
+    load = np.zeros((space.space.n, 3))
+    for number, elements in enumerate(space.space.blocks):
+        cells = np.empty(elements.elements, dtype=np.int64)
+        mine = np.flatnonzero(space.element[:, 0] == number)
+        cells[space.element[mine, 1]] = mine
+        own = rule_for(picture, number, None)
+        for begin in range(0, elements.elements, 256):
+            some = np.arange(begin, min(begin + 256, elements.elements))
+            c = cells[some]
+            chunk = Chunk(picture, number, some, own.points, own.weights, own)
+            at = (tmesh.corner[c, None] + tmesh.size[c, None, None] * own.points).reshape(-1, 3) / FULL
+            f = image(mapping, np.repeat(tmesh.block[c], len(own.points)), at).reshape(len(c), -1, 3)
+            part = np.swapaxes(chunk.N, 1, 2) @ (chunk.dx[..., None] * f)
+            np.add.at(load, elements.dofs[some], part)
+    M = matrix(picture, Mass())
+    for a in range(3):
+        held = (skin.functions, points[skin.functions, a])
+        points[:, a] = solve(M, load[:, a], held, domain=picture, tolerance=1e-9)[0]
+    return Fit(tmesh, space, points)
 
 
 def at_cells(made: Fit, local: Array) -> tuple[Array, Array]:

@@ -69,6 +69,13 @@ def side_coordinates(skin: Skin, u: Array) -> tuple[Index, Array]:
     return np.repeat(skin.side, len(u)), s.reshape(-1, 2)
 
 
+def places_on(skin: Skin, u: Array) -> tuple[Index, Array]:
+    """Blocks (f q,) and xi (f q, 3) of the points u (q, 2) of all facets."""
+    side, s = side_coordinates(skin, u)
+    block, face = skin.space.tmesh.blocks.boundary_sides[side].T
+    return block, _ORIGIN[face] + np.einsum("qds,qs->qd", _AXES[face], s)
+
+
 def values_at(skin: Skin, u: Array, order: tuple[int, int] = (0, 0)) -> csr_array:
     """Matrix (f q, n) that gives a field, or its derivatives along u, at points u (q, 2) of all facets."""
     tmesh, count = skin.space.tmesh, len(u)
