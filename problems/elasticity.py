@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 from iga import integrands
 from iga.assembly import matrix, vector
 from iga.chunk import Chunk, chunks
-from iga.conditions import nitsche
+from iga.conditions import DependentTracesError, nitsche
 from iga.domain import Domain
 from iga.errors import InputError
 from iga.field import Field
@@ -31,7 +31,7 @@ from problems.data import Datum, Sample, exclude, freeze, resolve, values
 from problems.material import checked, isotropic
 from problems.rigid import describe_free
 from problems.solution import Quantity, Solution, primary
-from problems.system import Clock, System, modes_of, prescribed
+from problems.system import Clock, System, freeze_components, modes_of, prescribed
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class Elasticity:
 
 
 def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int | None = None) -> Solution:
-    """Solve the static problem.
+    """Solve the static problem; where functions are dependent on the boundary, displacements are imposed weakly.
 
     Parameters
     ----------
@@ -83,15 +83,22 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
     Raises
     ------
     InputError
-        Unknown boundaries, conditions that exclude each other, a material that is not positive definite, or supports
-        that leave rigid motions free (they are named).
+        Unknown boundaries, conditions that exclude each other, a material that is not positive definite, supports
+        that leave rigid motions free (they are named), or single components or a field of materials where displacements
+        can only be imposed weakly.
     """
     clock = Clock()
     problem = resolved(problem, domain)
     C = checked(problem.stiffness, "stiffness", 6, domain)
-    fixed, value = prescribed(domain, problem.displacement, 3, points)
+    held = problem.displacement
     springs = support_matrix(problem, domain, points)
     f = load(problem, domain, points)
+    try:
+        fixed, value = prescribed(domain, held, 3, points)
+    except DependentTracesError:
+        held, fixed, value = {}, np.zeros(0, dtype=np.int64), np.zeros(0)
+        grip, pull = weakly(problem.displacement, domain, C, points)
+        springs, f = grip if springs is None else springs + grip, f + pull
     if problem.normal_displacement:
         sliding, right = slide(problem, domain, C, points)
         springs, f = sliding if springs is None else springs + sliding, f + right
@@ -110,9 +117,9 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
     energy = 0.5 * float(u @ (K @ u))
     if thermal is not None:
         energy += -float(u @ heating) + thermal_energy(domain, C, thermal, points)
-    log = {**log, **clock.times, "energy": energy}
+    log = {**log, **clock.times, "energy": energy, "weak": held is not problem.displacement}
     quantities = quantities_of(u.reshape(-1, 3), C, thermal)
-    reactions = system.reactions(u, problem.displacement, points)
+    reactions = system.reactions(u, held, points)
     return Solution(domain, "elasticity", u.reshape(-1, 3), quantities, log, reactions)
 
 
@@ -181,10 +188,18 @@ def support_matrix(problem: Elasticity, domain: Domain, points: int | None) -> c
 
 def slide(problem: Elasticity, domain: Domain, C: Any, points: int | None) -> tuple[csr_array, Array]:
     """Matrix (3n, 3n) and vector (3n,) of boundaries with a given normal displacement."""
+    return weakly(problem.normal_displacement, domain, C, points, normal=True)
+
+
+def weakly(
+    data: Mapping[str, Any], domain: Domain, C: Any, points: int | None, normal: bool = False
+) -> tuple[csr_array, Array]:
+    """Matrix (3n, 3n) and vector (3n,) that impose displacements, or their normal parts, by Nitsche's method."""
     if isinstance(C, Field):
-        raise InputError("a normal displacement needs a material of numbers or formulas, not of attributes")
-    data = {name: freeze(datum) for name, datum in problem.normal_displacement.items()}
-    return nitsche(domain, data, integrands.Elasticity(C), normal=True, points=points)
+        kind = "a normal displacement" if normal else "a displacement on unclamped splines"
+        raise InputError(f"{kind} needs a material of numbers or formulas, not of attributes")
+    frozen = {name: freeze_components(datum, 0.0) for name, datum in data.items()}
+    return nitsche(domain, frozen, integrands.Elasticity(C), normal=normal, points=points)
 
 
 def load(problem: Elasticity, domain: Domain, points: int | None) -> Array:

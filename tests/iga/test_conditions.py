@@ -148,6 +148,20 @@ def test_nitsche_on_mixed_cells_and_splines() -> None:
         assert errors(domain, u, exact, lambda x: np.broadcast_to(A[0], x.shape)).relative_h1 < 1e-11
 
 
+def test_nitsche_where_boundaries_overlap() -> None:
+    """Each facet counts once, with the later entry."""
+    single = spline_cube(2, 2, 0.1)
+    everywhere = facets_of(single, "*")
+    double = Domain(single.space, single.points, {**single.boundaries, "all": everywhere})
+    exact = lambda x: x @ A[0] + 2  # noqa: E731
+    names = dict.fromkeys(single.boundaries, exact)
+    expected = nitsche(single, names, Diffusion())
+    for data in ({"all": 7.0, **names}, {"x0": 7.0, "all": exact}):
+        found = nitsche(double, data, Diffusion())
+        assert np.abs((found[0] - expected[0]).toarray()).max() < 1e-12
+        assert np.abs(found[1] - expected[1]).max() < 1e-12
+
+
 def test_normal_condition_lets_a_body_slide() -> None:
     # A quarter-like block between two symmetry planes, pulled: eps = diag(-nu, -nu, 1) without any shear.
     domain = spline_cube(2, 2)

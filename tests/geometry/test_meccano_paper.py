@@ -1,0 +1,132 @@
+"""The paper's solids by the source: tetrahedra, T-splines and clamped splines on a cube, remedies, analysis on them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import geometry
+from geometry.meccano import Settings, domain_of
+from geometry.meccano.blocks import cube, place
+from geometry.meccano.domain import bare
+from geometry.meccano.fitting import greville_points
+from geometry.meccano.hierarchical import hierarchy
+from geometry.meccano.interpolation import interpolate
+from geometry.meccano.paper import Fit, apart, at_cells, boundary_triangles, inner, judged
+from geometry.meccano.parametrisation import LEVELS
+from geometry.meccano.shapes import ball, torus
+from geometry.meccano.surface import Surface, volume
+from geometry.meccano.t_spline import t_spline
+from geometry.meccano.tmesh import refined, uniform
+from iga import InputError
+from iga.assembly import volume as content
+from iga.certificate import certify
+from iga.domain import Domain, check
+from iga.store import load, save
+from problems import elasticity
+from problems.manufactured import solve_exact
+
+FULL = 1 << LEVELS
+
+
+@pytest.fixture(scope="module")
+def solids() -> dict[str, Domain]:
+    """The ball in both spaces, on the same octree."""
+    return {
+        space: domain_of(ball(8), Settings(meccano="cube", space=space, tolerance=0.03), "ball")
+        for space in ("t-spline", "optimal")
+    }
+
+
+def test_report_of_the_stages(solids: dict[str, Domain]) -> None:
+    for domain in solids.values():
+        check(domain)
+        report = domain.report
+        assert report["tets"]["inverted"] == 0
+        for stage in report["tets"]["stages"]:
+            assert len(stage["sweeps"]) >= 1
+            assert {"before", "after", "nodes", "tets"} <= set(stage)
+        assert {"boundary_map", "tetrahedra", "octree", "interpolation", "remedy"} <= set(report["seconds"])
+        assert report["distance"]["relative"] < 0.03
+        assert report["refuted"]["after"] == int((certify(domain).verdict == -1).sum())
+    one, two = (solids[space].report for space in ("t-spline", "optimal"))
+    assert one["cells"] == two["cells"]
+    assert one["between_spaces"] == pytest.approx(two["between_spaces"], rel=1e-6)
+    assert 0 < one["between_spaces"]["relative"] < 0.05
+
+
+def test_t_splines_interpolate_the_tetrahedra(solids: dict[str, Domain]) -> None:
+    report = solids["t-spline"].report
+    assert report["residual"] < 1e-12
+    assert report["condition"] < 60
+    triangles = boundary_triangles(solids["t-spline"])
+    assert volume(Surface(*triangles)) == pytest.approx(content(solids["t-spline"], 8), rel=2e-2)
+
+
+@pytest.mark.parametrize("space", ["t-spline", "optimal"])
+def test_patch_test_and_files(solids: dict[str, Domain], space: str, tmp_path) -> None:
+    save(solids[space], tmp_path / "solid.npz")
+    domain = load(tmp_path / "solid.npz")
+    solution = solve_exact(domain, "heat", "1+x-2*y+3*z", points=8 if space == "t-spline" else None)[0]
+    assert solution.norms is not None
+    assert solution.norms.h1 < 1e-8
+    assert solution.log["weak"] == (space == "t-spline")
+
+
+def test_displacements_are_imposed_weakly() -> None:
+    own = t_spline(uniform(cube(), 1))
+    x = own.anchors / FULL
+    domain = bare(own, interpolate(own, x + 0.05 * np.sin(np.pi * x[:, [1, 2, 0]]))[0])
+    solution = solve_exact(domain, "elasticity", "x+2*y;3*z-y;0.5*x", points=8)[0]
+    assert solution.log["weak"]
+    assert solution.norms is not None
+    assert solution.norms.h1 < 1e-8
+    with pytest.raises(InputError, match="value for each component"):
+        elasticity.solve(elasticity.Elasticity(displacement={"side0": (0.0, None, 0.0)}), domain)
+    with pytest.raises(InputError, match="move freely"):
+        elasticity.solve(elasticity.Elasticity(traction={"side0": (1.0, 0.0, 0.0)}), domain)
+
+
+def test_refinement(solids: dict[str, Domain]) -> None:
+    with pytest.raises(InputError, match="space=optimal"):
+        geometry.refine(solids["t-spline"])
+    finer = geometry.meccano.refine(solids["optimal"], cells=np.array([0]))
+    assert content(finer, 5) == pytest.approx(content(solids["optimal"], 5), rel=1e-12)
+
+
+def test_cells_are_judged() -> None:
+    """Centres and Gauss points are judged cell by cell, whatever the elements are."""
+    own = t_spline(refined(uniform(cube(), 2), np.array([0])))
+    x = own.anchors / FULL
+    tmesh = own.tmesh
+    straight = Fit(tmesh, own, interpolate(own, x)[0])
+    numbers, bad = judged(straight)
+    assert not bad.any()
+    assert numbers.negative_gauss == 0
+    assert numbers.least > 0.8
+    mirrored = Fit(tmesh, own, straight.points * [1.0, 1.0, -1.0])
+    numbers, bad = judged(mirrored)
+    assert bad.all()
+    assert numbers.negative_gauss == numbers.negative_centre == numbers.cells
+    space = hierarchy(tmesh)
+    linear = Fit(tmesh, space, place(tmesh.blocks, *greville_points(space)))
+    gap = apart(straight, linear)
+    assert 0.0 < gap["rms"] < gap["largest"] < 0.08
+    places, scaled = at_cells(linear, np.full((1, 3), 0.5))
+    assert np.abs(places[:, 0] - (tmesh.corner + 0.5 * tmesh.size[:, None]) / FULL).max() < 1e-14
+    assert np.abs(scaled - 1.0).max() < 1e-13
+    assert 0 < inner(straight).sum() < own.space.n
+    assert not inner(linear)[[0, -1]].any()
+
+
+def test_bad_settings() -> None:
+    with pytest.raises(InputError, match="no pillowed form"):
+        geometry.build("x.off", "meccano", meccano="pillowed", space="t-spline")
+    with pytest.raises(InputError, match="measure"):
+        geometry.build("x.off", "meccano", measure="area")
+    with pytest.raises(InputError, match="remedy"):
+        geometry.build("x.off", "meccano", remedy="hope")
+    with pytest.raises(InputError, match="cells, more than the limit of 20"):
+        domain_of(ball(6), Settings(meccano="cube", tolerance=0.02, max_cells=20))
+    with pytest.raises(InputError, match="genus"):
+        domain_of(torus(12, 6), Settings(meccano="cube"))
