@@ -38,6 +38,7 @@ STUDIES: dict[str, str] = {
         "hybrid_refinement",
         "meccano_square",
         "meccano_models",
+        "sources_compared",
     )
 } | {"bench_cube": "bench_table"}
 BASELINES = Path(__file__).parent / "baselines"

@@ -1,4 +1,4 @@
-"""Small hexahedral meshes by name: boxes, the seven-block ball, fans around an edge, tetrahedra in four.
+"""Small hexahedral meshes by name: boxes, balls of seven blocks, fans around an edge, tetrahedra in four.
 
 Each function returns points (v, 3) and cells (e, 8) in the order of `iga.cells.HEXAHEDRON`.
 """
@@ -35,6 +35,30 @@ def ball() -> Mesh:
         quad = np.array(face.vertices)
         cells.append(np.concatenate([quad, quad + 8]))
     return points, np.array(cells)
+
+
+def round_ball(n: int = 2) -> Mesh:
+    """The seven-block ball with n cells a side of each block, its boundary vertices on the unit sphere.
+
+    Lines of the faces run at equal angles; the cube inside has the half width 1/2 over the root of three.
+    """
+    s = np.linspace(-1.0, 1.0, n + 1)
+    u, v, t = np.meshgrid(s, s, np.linspace(0.0, 1.0, n + 1), indexing="ij")
+    half = 0.5 / np.sqrt(3.0)
+    outside = np.stack([np.tan(np.pi / 4 * u), np.tan(np.pi / 4 * v), np.ones_like(u)], axis=-1)
+    outside /= np.linalg.norm(outside, axis=-1, keepdims=True)
+    inside = half * np.stack([u, v, np.ones_like(u)], axis=-1)
+    top = inside + t[..., None] * (outside - inside)
+    blocks = [half * np.stack(np.meshgrid(s, s, s, indexing="ij"), axis=-1)]
+    for axis in range(3):
+        blocks.append(np.roll(top, axis + 1, axis=-1))
+        blocks.append(np.roll(top * [-1.0, 1.0, -1.0], axis + 1, axis=-1))  # half a turn about the second axis
+    own = box(n, n, n)[1]
+    corners = np.concatenate([b.reshape(-1, 3)[own] for b in blocks])
+    _, first, number = np.unique(
+        np.round(corners.reshape(-1, 3), 9) + 0.0, axis=0, return_index=True, return_inverse=True
+    )
+    return corners.reshape(-1, 3)[first], number.reshape(-1, 8)
 
 
 def fan(m: int, layers: int = 3, rings: int = 2, seed: int = 7, noise: float = 0.0) -> Mesh:
@@ -108,7 +132,8 @@ def ring_of_tetrahedra() -> Mesh:
 
 
 SHAPES: dict[str, Callable[[], Mesh]] = {
-    "box": lambda: box(3, 3, 3), "ball": ball, "tetrahedron": tetrahedron, "ring": ring_of_tetrahedra,
+    "box": lambda: box(3, 3, 3), "ball": ball, "round_ball": round_ball,
+    "tetrahedron": tetrahedron, "ring": ring_of_tetrahedra,
     **{f"fan_{m}": partial(fan, m) for m in (3, 5, 6, 8)},
 }
 """Meshes that `source.build` knows by name."""

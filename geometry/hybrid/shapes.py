@@ -1,5 +1,6 @@
 r"""Solids made in code by Boolean operations, after the models of Song and Cohen 2019.
 
+    ball                 the unit ball, one face with two poles and a seam
     curved_box           six bicubic faces of a bent box
     curved_difference    one bent box minus another (Figure 4.2a)
     tetrapod             union of four capsules (Figure 4.2c)
@@ -54,6 +55,13 @@ def _bent_box(low: Array, size: Array, bend: float) -> Any:
     solid = BRepBuilderAPI_MakeSolid(TopoDS.Shell(sewing.SewedShape())).Solid()
     BRepLib.OrientClosedSolid_s(solid)
     return solid
+
+
+def ball() -> Brep:
+    """Unit ball about the origin."""
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakeSphere
+
+    return brep_of(BRepPrimAPI_MakeSphere(1.0).Shape(), "ball")
 
 
 def curved_box(bend: float = 0.15) -> Brep:
@@ -124,7 +132,8 @@ def _one(shape: Any, where: str) -> Brep:
 
 
 SHAPES: dict[str, Callable[..., Brep]] = {
-    "curved_box": curved_box, "curved_difference": curved_difference, "tetrapod": tetrapod, "bracket": bracket
+    "ball": ball, "curved_box": curved_box, "curved_difference": curved_difference, "tetrapod": tetrapod,
+    "bracket": bracket,
 }
 """Solids by name."""
 

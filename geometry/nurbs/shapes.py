@@ -155,6 +155,34 @@ def _product(a: Array, b: Array) -> Array:
     return result / np.multiply.outer(twice, twice)
 
 
+def ball(radius: float = 1.0, core: float = 0.5) -> Multipatch:
+    """Solid ball about the origin: a cube and six patches up to the exact sphere, all of degree 4, regular everywhere.
+
+    Parameters
+    ----------
+    core : distance of the cube's corners from the centre, relative to the radius.
+
+    Boundary: sphere.
+    """
+    _positive(radius=radius)
+    if not 0.1 <= core <= 0.8:
+        raise InputError(f"core is {core:g}; it must lie between 0.1 and 0.8")
+    half = core * radius / np.sqrt(3.0)
+    cap = _sphere_face()
+    outside = homogeneous(cap) * np.array([radius, radius, radius, 1.0])
+    u = np.linspace(-half, half, 5)
+    flat = np.stack([*np.meshgrid(u, u, indexing="ij"), np.full((5, 5), half)], axis=-1)
+    inside = np.concatenate([flat, np.ones((5, 5, 1))], axis=-1)
+    radial = np.array([0.0, 0.0, 1.0, 1.0])
+    outer = [Patch((np.repeat([0.0, 1.0], 5),) * 3, np.stack(np.meshgrid(u, u, u, indexing="ij"), axis=-1))]
+    for axis in range(3):
+        for side in (1.0, -1.0):
+            turned = np.stack([inside, outside])
+            turned[..., :3] = np.roll(turned[..., :3] * np.array([1.0, side, side]), axis + 1, axis=-1)
+            outer.append(elevate(from_homogeneous((radial, *map(normalised, cap.knots)), turned), (3, 0, 0)))
+    return glue(outer, [("sphere", p, 1) for p in range(1, 7)], where="ball")
+
+
 def cylinder(radius: float = 1.0, height: float = 1.0, core: float = 0.5) -> Multipatch:
     """Solid cylinder about the z axis: a square prism and four outer patches, regular everywhere.
 
@@ -247,5 +275,5 @@ def fichera(side: float = 1.0) -> Multipatch:
 
 SHAPES: dict[str, Callable[..., Multipatch]] = {
     f.__name__: f
-    for f in (box, cube, thick_ring, hollow_sphere_octant, cylinder, torus, plate_with_hole, fichera, bench_cube)
+    for f in (box, cube, thick_ring, hollow_sphere_octant, ball, cylinder, torus, plate_with_hole, fichera, bench_cube)
 }

@@ -29,6 +29,7 @@ CASES = [
     ("thick_ring", {"angle": 300}, 2.5 * PI, {"inner": 5 / 3 * PI, "start": 1, "end": 1}),
     ("thick_ring", {"angle": 360}, 3 * PI, {"inner": 2 * PI, "outer": 4 * PI, "z0": 3 * PI, "z1": 3 * PI}),
     ("hollow_sphere_octant", {}, 7 / 6 * PI, {"inner": PI / 2, "outer": 2 * PI, "x0": 0.75 * PI, "y0": 0.75 * PI}),
+    ("ball", {"radius": 2.0}, 32 / 3 * PI, {"sphere": 16 * PI}),
     ("cylinder", {"radius": 2.0, "height": 3.0}, 12 * PI, {"outer": 12 * PI, "z0": 4 * PI, "z1": 4 * PI}),
     ("torus", {"angle": 90}, PI**2 / 4, {"outer": PI**2, "start": PI / 4, "end": PI / 4}),
     ("torus", {"angle": 360, "major": 3.0, "minor": 1.0}, 6 * PI**2, {"outer": 12 * PI**2}),
