@@ -118,3 +118,20 @@ def to_parameters(chart: Chart, q: Array) -> Array:
 def chart_points(chart: Chart, q: Array) -> Array:
     """Points in space (q, 3) of chart points (q, 2)."""
     return surface_points(chart.face.surface, to_parameters(chart, q))
+
+
+def line_points(face: Face, chart: Chart | None, a: Array, b: Array, s: Array) -> Array:
+    """Points (m, k, 3) of straight lines from a to b (m, 2), of the chart or else of the parameter plane, at (m, k)."""
+    return surface_points(face.surface, _line(chart, a, b, s)).reshape(*s.shape, 3)
+
+
+def line_normals(face: Face, chart: Chart | None, a: Array, b: Array, s: Array) -> Array:
+    """Unit normals of the surface along such lines; a little beside their ends, which may be poles."""
+    _, du, dv = surface_frame(face.surface, _line(chart, a, b, np.clip(s, 1e-3, 1.0 - 1e-3)))
+    n = np.cross(du, dv)
+    return np.asarray(n / (np.linalg.norm(n, axis=1)[:, None] + 1e-300)).reshape(*s.shape, 3)
+
+
+def _line(chart: Chart | None, a: Array, b: Array, s: Array) -> Array:
+    q = (a[:, None] + s[..., None] * (b - a)[:, None]).reshape(-1, 2)
+    return q if chart is None else to_parameters(chart, q)

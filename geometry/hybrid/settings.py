@@ -17,6 +17,7 @@ class Settings:
     """Settings of a build; see `source`."""
 
     solid: int | None = None
+    skin: str = "triangles"
     degree: int = 3
     size: float = 0.2
     tolerance: float = 2e-5
@@ -32,7 +33,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "omega": (0.01, 0.95), "subdivide": (0, 4), "limit": (1.0, 1e6),
 }
 
-_WORDS = {"convert": ("none", "hex4")}
+_WORDS = {"convert": ("none", "hex4"), "skin": ("triangles", "hybrid")}
 
 
 def parse(parameters: Mapping[str, Any]) -> Settings:

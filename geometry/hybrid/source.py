@@ -1,6 +1,8 @@
 r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a mixed spline volume.
 
     solid       which solid of a file with several, from 0
+    skin        "triangles" (default), or "hybrid": quadrilaterals that are the CAD surface itself on curved faces
+                (rational ones to the tolerance), and pyramids on them; triangles along trimming curves
     degree      3 (default) or more: degrees above three are added to the cubic volume
     size        largest element of the skin, relative to the diagonal (default 0.2)
     tolerance   wanted distance of the skin to the CAD surfaces, relative to the diagonal (default 2e-5)
@@ -74,7 +76,7 @@ def domain_of(brep: Brep, settings: Settings | None = None, source: str = "", sh
     source : name of the input, for the provenance and messages.
     """
     settings = settings or Settings()
-    skin = build_skin(brep, settings.size, settings.tolerance, source, shown)
+    skin = build_skin(brep, settings.size, settings.tolerance, source, shown, settings.skin == "hybrid")
     if skin.report.get("crossings") or skin.report.get("folded"):
         raise InputError(
             f"{source}: the skin cuts through itself or folds near {skin.report.get('worst_face', 'a face')} "

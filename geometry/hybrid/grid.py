@@ -1,0 +1,313 @@
+r"""Quadrilaterals between parameter lines of trimmed faces, where the skin is to be the CAD surface itself.
+
+A face has lines u_0 < u_1 < ... and v_0 < v_1 < ...: all its knots, the lines that its edges follow, the ends of the
+pieces of these edges, and more where cells would be larger than wanted. A cell between four lines is
+
+    exterior   outside the loops
+    trimmed    crossed by a trimming curve, or nearer to one than a share of its own size
+    interior   kept whole: one quadrilateral
+
+so the kept cells' outline is the rectilinear approximation of the trimming curves. Cells with a side on an edge that
+follows a parameter line are kept too, if the edge has a single piece there: edges are cut where lines meet them.
+
+Axis letters: i, j cell, c corner, d parameter direction.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.hybrid.brep import Brep, Coedge, Face, curve_points, surface_frame
+from geometry.hybrid.sizing import Sizing, size_at
+from geometry.patch import Patch
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+ALONG = 1e-7
+"""Extent (of the parameter range) below which a curve in the plane follows a parameter line."""
+CLOSE = 0.35
+"""Lines nearer to each other than this share of the wanted size are one."""
+MARGIN = 0.4
+"""Room between a cell and a trimming curve that crosses parameter lines, as a share of the cell."""
+LARGE = 3.0
+"""Cells larger than this many times the wanted size are left to triangles."""
+SLENDER = 8.0
+"""Largest ratio of sides."""
+SKEWED = 0.25
+"""Least sine of the angle between parameter lines."""
+MOST = 40_000
+"""Cells of a face."""
+PASSES = 3
+"""How often faces take over the cuts that their neighbours made on common edges."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Lines of one face and what becomes of the cells between them.
+
+    Attributes
+    ----------
+    lines : u (m + 1,) and v (n + 1,).
+    kept : (m, n) cells that become quadrilaterals.
+    inside : (m, n) cells whose centre lies inside the loops.
+    crossed : (m, n) cells that a trimming curve crosses or is too near to.
+    """
+
+    lines: tuple[Array, Array]
+    kept: Mask
+    inside: Mask
+    crossed: Mask
+
+
+def is_flat(surface: Patch) -> bool:
+    """Whether all control points lie in one plane, so that triangles meet the surface as well."""
+    x = surface.control.reshape(-1, 3)
+    x = x - x.mean(axis=0)
+    size = np.linalg.svd(x, compute_uv=False)
+    return bool(size[-1] <= 1e-12 * size[0])
+
+
+def followed(coedge: Coedge, surface: Patch) -> int:
+    """Direction (0 or 1) whose parameter is constant along a coedge, or -1."""
+    spread = np.ptp(coedge.curve.control, axis=0)
+    for d in range(2):
+        if spread[d] <= ALONG * np.ptp(surface.knots[d]) < spread[1 - d]:
+            return d
+    return -1
+
+
+def face_lines(
+    brep: Brep, number: int, ends: dict[int, Array], settled: set[int], sizing: Sizing, most: float
+) -> tuple[Array, Array]:
+    """Lines of one face.
+
+    Parameters
+    ----------
+    ends : for each edge the parameters of its pieces' ends.
+    settled : edges whose ends count before those of others.
+    most : largest cell, in space.
+    """
+    face = brep.faces[number]
+    surface = face.surface
+    t = np.linspace(0.0, 1.0, 33)
+    outline = np.concatenate([curve_points(c.curve, t) for loop in face.loops for c in loop])
+    box = np.stack([outline.min(axis=0), outline.max(axis=0)])
+    firm: tuple[list[float], list[float]] = ([], [])
+    given: tuple[list[float], list[float]] = ([], [])
+    loose: tuple[list[float], list[float]] = ([], [])
+    for d in range(2):
+        reach = 10 * ALONG * np.ptp(surface.knots[d])
+        firm[d].extend(k for k in np.unique(surface.knots[d]).tolist() if box[0, d] + reach < k < box[1, d] - reach)
+        loose[d].extend(box[:, d].tolist())
+    for loop in face.loops:
+        for c in loop:
+            d = followed(c, surface)
+            if d < 0:
+                continue
+            firm[d].append(float(c.curve.control[:, d].mean()))
+            if not brep.edges[c.edge].degenerate:
+                where = curve_points(c.curve, ends[c.edge])[:, 1 - d]
+                (given if c.edge in settled else loose)[1 - d].extend(where.tolist())
+    # Lengths of parameter lines, and wanted sizes, on a raster of the box.
+    u, v = (np.linspace(a, b, 13) for a, b in zip(*box))
+    raster = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+    x, du, dv = surface_frame(surface, raster)
+    inside = winding(face, raster)
+    h = size_at(sizing, x[inside if inside.any() else slice(None)])
+    target = min(float(np.median(h)), most)
+    lines = []
+    for d, tangent in enumerate((du, dv)):
+        speed = np.linalg.norm(tangent, axis=1).reshape(13, 13).mean(axis=1 - d)
+        same = 10 * ALONG * float(np.ptp(surface.knots[d]))
+        lines.append(_spaced(firm[d], given[d], loose[d], box[:, d], speed, target, same))
+    return lines[0], lines[1]
+
+
+def _spaced(
+    firm: list[float], given: list[float], loose: list[float], box: Array, speed: Array, target: float, same: float
+) -> Array:
+    """All firm values, of the others those that are not close to one before, and more where gaps are large."""
+    places = np.linspace(box[0], box[1], len(speed))
+
+    def rate(x: float) -> float:
+        return float(np.interp(x, places, speed)) + 1e-300
+
+    kept: list[float] = []
+    for value in sorted(firm):
+        if not kept or value - kept[-1] > same:
+            kept.append(value)
+    for value in [*sorted(given), *sorted(loose)]:
+        if min((abs(value - k) for k in kept), default=np.inf) > max(CLOSE * target / rate(value), same):
+            kept.append(value)
+    kept.sort()
+    made = kept[:1]
+    for a, b in pairwise(kept):
+        count = max(1, int(np.ceil((b - a) * rate(0.5 * (a + b)) / target - 0.35)))
+        made.extend((a + (b - a) * np.arange(1, count + 1) / count).tolist()[:-1])
+        made.append(b)
+    return np.array(made)
+
+
+def agree(
+    brep: Brep, ends: dict[int, Array], sizing: Sizing, cells: Mapping[int, float]
+) -> tuple[dict[int, tuple[Array, Array]], dict[int, Array]]:
+    """Lines of faces, and the ends of edges' pieces where the lines meet the edges that they cross.
+
+    Face by face, the edges that an earlier face has cut count first; what a later face adds is taken over in the next
+    pass.
+
+    Parameters
+    ----------
+    ends : for each edge the parameters of its pieces' ends, as sizes want them.
+    cells : the faces and the largest cell of each.
+    """
+    lines: dict[int, tuple[Array, Array]] = {}
+    for _ in range(PASSES if cells else 0):
+        settled: set[int] = set()
+        ends = dict(ends)
+        for f in _in_order(brep, list(cells)):
+            made = face_lines(brep, f, ends, settled, sizing, cells[f])
+            if len(made[0]) * len(made[1]) > MOST:
+                continue
+            lines[f] = made
+            for loop in brep.faces[f].loops:
+                for c in loop:
+                    d = followed(c, brep.faces[f].surface)
+                    if d < 0 or brep.edges[c.edge].degenerate:
+                        continue
+                    t = _meeting(c, 1 - d, made[1 - d]).tolist()
+                    if c.edge in settled:
+                        old = ends[c.edge]
+                        apart = CLOSE * float(np.diff(old).min())
+                        t = [*old[1:-1].tolist(), *(s for s in t if np.abs(old - s).min() > apart)]
+                    if t:
+                        ends[c.edge] = np.array([0.0, *sorted(t), 1.0])
+                        settled.add(c.edge)
+    return lines, ends
+
+
+def _in_order(brep: Brep, faces: list[int]) -> list[int]:
+    """Faces so that each is a neighbour of one before, as far as that can be."""
+    left, order = set(faces), []
+    queue: deque[int] = deque()
+    while left:
+        f = queue.popleft() if queue else min(left)
+        if f not in left:
+            continue
+        left.discard(f)
+        order.append(f)
+        queue.extend(
+            g for loop in brep.faces[f].loops for c in loop for g, _, _ in brep.coedges_of[c.edge] if g in left
+        )
+    return order
+
+
+def _meeting(c: Coedge, d: int, lines: Array) -> Array:
+    """Parameters in (0, 1) at which the coordinate d, monotone along a coedge, takes the values of lines."""
+    ends = curve_points(c.curve, np.array([0.0, 1.0]))[:, d]
+    low, high = min(ends), max(ends)
+    value = lines[(lines > low + 1e-7 * (high - low)) & (lines < high - 1e-7 * (high - low))]
+    a, b = np.zeros(len(value)), np.ones(len(value))
+    rising = ends[1] > ends[0]
+    for _ in range(52):
+        middle = 0.5 * (a + b)
+        below = (curve_points(c.curve, middle)[:, d] < value) == rising
+        a, b = np.where(below, middle, a), np.where(below, b, middle)
+    return np.sort(0.5 * (a + b))
+
+
+def winding(face: Face, uv: Array) -> Mask:
+    """Whether points (q, 2) of the parameter plane lie inside the loops: crossings of the ray towards +u."""
+    t = np.linspace(0.0, 1.0, 65)
+    rings = []
+    for loop in face.loops:
+        rings.append(np.concatenate([curve_points(c.curve, t[::-1] if c.reversed else t)[:-1] for c in loop]))
+    start = np.concatenate(rings)
+    end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
+    p, q = uv[:, None, 1], uv[:, None, 0]
+    crossed = (start[:, 1] > p) != (end[:, 1] > p)
+    rise = np.where(end[:, 1] == start[:, 1], 1.0, end[:, 1] - start[:, 1])
+    at = start[:, 0] + (p - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
+    return np.asarray((crossed & (at > q)).sum(axis=1) % 2 == 1)
+
+
+def make_grid(brep: Brep, number: int, lines: tuple[Array, Array], sizing: Sizing, banned: Mask | None = None) -> Grid:
+    """Decide which cells become quadrilaterals; sides on edges are looked at when the face is meshed."""
+    face = brep.faces[number]
+    surface = face.surface
+    m, n = len(lines[0]) - 1, len(lines[1]) - 1
+    middles = [0.5 * (x[1:] + x[:-1]) for x in lines]
+    centre = np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1).reshape(-1, 2)
+    inside = winding(face, centre).reshape(m, n)
+    crossed = np.zeros((m, n), dtype=bool)
+    for loop in face.loops:
+        for c in loop:
+            if followed(c, surface) < 0:
+                _mark(c, lines, crossed)
+    kept = inside & ~crossed
+    if banned is not None and banned.shape == kept.shape:
+        kept &= ~banned
+    chosen = np.flatnonzero(kept.ravel())
+    if len(chosen):
+        kept.ravel()[chosen] = _well_shaped(surface, lines, chosen, n, sizing)
+    return Grid(lines, kept, inside, crossed)
+
+
+def _mark(c: Coedge, lines: tuple[Array, Array], crossed: Mask) -> None:
+    """Mark cells that, made larger by the margin, hold a point of a curve."""
+    step = min(float(np.diff(x).min()) / (x[-1] - x[0]) for x in lines)
+    t = np.linspace(0.0, 1.0, int(np.clip(4.0 / max(step, 1e-4), 64, 4000)))
+    p = curve_points(c.curve, t)
+    near = []
+    for d in range(2):
+        x = lines[d]
+        room = MARGIN * np.diff(x)
+        near.append((p[:, d, None] > x[:-1] - room) & (p[:, d, None] < x[1:] + room))
+    crossed |= np.asarray((near[0].T.astype(np.float64) @ near[1].astype(np.float64)) > 0.0)
+
+
+def _well_shaped(surface: Patch, lines: tuple[Array, Array], chosen: Index, n: int, sizing: Sizing) -> Mask:
+    i, j = chosen // n, chosen % n
+    corner = np.stack([
+        np.stack([lines[0][i + a], lines[1][j + b]], axis=1) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))
+    ], axis=1)  # fmt: skip
+    low, high = corner[:, 0], corner[:, 2]
+    spread = 1e-9 * (high - low)
+    inner = np.clip(corner, (low + spread)[:, None], (high - spread)[:, None])
+    x, du, dv = surface_frame(surface, inner.reshape(-1, 2))
+    size = np.linalg.norm(du, axis=1) * np.linalg.norm(dv, axis=1)
+    sine = np.linalg.norm(np.cross(du, dv), axis=1) / (size + 1e-300)
+    regular = (sine.reshape(-1, 4) > SKEWED).all(axis=1)
+    x = x.reshape(-1, 4, 3)
+    side = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2)
+    regular &= side.max(axis=1) < SLENDER * side.min(axis=1)
+    wanted = size_at(sizing, x.mean(axis=1))
+    return np.asarray(regular & (side.max(axis=1) < LARGE * wanted))
+
+
+def count_intervals(face: Face) -> dict[str, int]:
+    """How many knot intervals of a face are interior, trimmed (crossed or touched by a curve) and exterior."""
+    lines = [np.unique(k) for k in face.surface.knots]
+    met = np.zeros(tuple(len(x) - 1 for x in lines), dtype=bool)
+    t = np.linspace(0.0, 1.0, 1 + 64 * max(8, *met.shape))
+    for loop in face.loops:
+        for c in loop:
+            p = curve_points(c.curve, t)
+            hit = [
+                (p[:, d, None] >= x[:-1] - ALONG * np.ptp(x)) & (p[:, d, None] <= x[1:] + ALONG * np.ptp(x))
+                for d, x in enumerate(lines)
+            ]
+            met |= (hit[0].T.astype(np.float64) @ hit[1].astype(np.float64)) > 1.0  # a point alone does not count
+    middles = [0.5 * (x[1:] + x[:-1]) for x in lines]
+    inside = winding(face, np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(met.shape)
+    return {
+        "interior": int((inside & ~met).sum()), "trimmed": int(met.sum()), "exterior": int((~inside & ~met).sum())
+    }

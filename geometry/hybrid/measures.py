@@ -1,0 +1,157 @@
+r"""What a skin is worth: distances, areas, volume, gaps, crossings and folds, and per face the share that is exact.
+
+Axis letters: e element, k side, s sample on a side, c component.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.hybrid.assembling import Assembled, Part
+from geometry.hybrid.brep import Brep
+from geometry.hybrid.crossing import crossing_pairs
+from geometry.hybrid.facemesh import FaceMesh
+from geometry.hybrid.fitting import BICUBIC
+from geometry.hybrid.grid import count_intervals
+from geometry.hybrid.sizing import Sizing
+from iga.errors import InputError
+from iga.quadrature import gauss
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+EXACT = 1e-12
+"""Distance, relative to the diagonal, within which an element is the CAD surface."""
+
+_AROUND = {
+    3: np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]), 4: np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+}
+"""Corners in the reference cell, in the order of `Part.corners`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finer:
+    """Where elements must be smaller: places and sizes, and the largest cell of some faces' grids."""
+
+    sizing: Sizing
+    cells: dict[int, float]
+
+
+def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: float) -> tuple[dict[str, Any], Finer]:
+    """Report of a skin (see `skin.build_skin`), and where elements must be smaller."""
+    area, volume = [], 0.0
+    middle = made.points.mean(axis=0)
+    for part in made.parts:
+        rule = gauss(part.block.basis.cell, 5)
+        values, gradients = part.block.basis.tabulate(rule.points, 1)
+        local = made.points[part.block.dofs]
+        X = np.einsum("kn,enc->ekc", values, local)
+        J = np.einsum("knd,enc->ekcd", gradients, local)
+        normal = np.cross(J[..., 0], J[..., 1])
+        volume += float(np.einsum("k,ekc,ekc->", rule.weights, X - middle, normal)) / 3.0
+        area.append(np.einsum("k,ek->e", rule.weights, np.linalg.norm(normal, axis=-1)))
+    distance, folded, owner, banded = (
+        np.concatenate([getattr(part, name) for part in made.parts])
+        for name in ("distance", "folded", "owner", "banded")
+    )
+    areas = np.concatenate(area)
+    exact = distance <= EXACT * brep.diagonal
+    x = made.points[: made.vertices]
+    straight = [(part.corners[:, [0, a, a + 1]], k) for part in made.parts for k, a in _halves(part)]
+    triangles = np.concatenate([t for t, _ in straight])
+    start = np.cumsum([0] + [len(part.corners) for part in made.parts])
+    element = np.concatenate([
+        start[n] + np.arange(len(part.corners)) for n, part in enumerate(made.parts) for _ in _halves(part)
+    ])
+    own = np.concatenate([
+        np.where(part.block.basis is BICUBIC, start[n] + np.arange(len(part.corners)), -1)
+        for n, part in enumerate(made.parts) for _ in _halves(part)
+    ])
+    pairs = crossing_pairs(x, triangles, own)
+    corners = x[triangles]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    flat = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    quality = 2.0 * np.sqrt(3.0) * flat / (sides**2).sum(axis=1)
+    worst = int(distance.argmax())
+    names = [face.name for face in brep.faces]
+    report = {
+        "elements": len(distance), "quadrilaterals": sum(len(m.quads) for m in meshes),
+        "max_distance": float(distance.max() / brep.diagonal), "worst_face": names[int(owner[worst])],
+        "exact_area_share": float(areas[exact].sum() / areas.sum()), "area": float(areas.sum()),
+        "band_area": float(areas[banded].sum()), "volume": volume, "volume_error": abs(volume / brep.volume - 1.0),
+        "watertight_gap": _gap(made) / brep.diagonal, "crossings": len(pairs), "folded": int(folded.sum()),
+        "min_quality": float(quality.min()),
+        "cad_faces_with_quadrilaterals": _per_face(brep, meshes, owner, areas, exact, banded, distance),
+    }  # fmt: skip
+    bad = folded.copy()
+    bad[element[pairs.ravel()]] = True
+    if bad.any():
+        report["faulty_faces"] = sorted({names[f] for f in owner[bad].tolist()})
+    coarse = distance > tolerance * brep.diagonal
+    shrink = np.where(bad, 0.5, np.clip((tolerance * brep.diagonal / (distance + 1e-300)) ** 0.25, 0.4, 0.6))
+    some = bad | coarse
+    longest = np.zeros(len(distance))
+    np.maximum.at(longest, element, sides.max(axis=1))
+    centre = np.zeros((len(distance), 3))
+    np.add.at(centre, element, corners.mean(axis=1) / np.bincount(element)[element][:, None])
+    wanted = longest * shrink
+    cells: dict[int, float] = {}
+    for n, part in enumerate(made.parts):
+        if part.block.basis is BICUBIC:
+            here = np.arange(start[n], start[n + 1])
+            for e in here[some[here]].tolist():
+                cells[int(owner[e])] = min(cells.get(int(owner[e]), np.inf), float(wanted[e]))
+    return report, Finer(Sizing(centre[some], wanted[some]), cells)
+
+
+def _halves(part: Part) -> list[tuple[int, int]]:
+    """Straight triangles (0, a, a + 1) of an element's corners."""
+    return [(k, k + 1) for k in range(part.corners.shape[1] - 2)]
+
+
+def _per_face(
+    brep: Brep, meshes: list[FaceMesh], owner: Index, area: Array, exact: NDArray[np.bool_],
+    banded: NDArray[np.bool_], distance: Array,
+) -> list[dict[str, Any]]:  # fmt: skip
+    rows = []
+    for f, (face, made) in enumerate(zip(brep.faces, meshes)):
+        if made.grid is None:
+            continue
+        mine = owner == f
+        total = float(area[mine].sum())
+        rows.append({
+            "face": face.name, "kind": face.kind, "quadrilaterals": len(made.quads), "triangles": len(made.triangles),
+            **count_intervals(face), "area": total, "band_area": float(area[mine & banded].sum()),
+            "exact_share": float(area[mine & exact].sum() / total),
+            "distance_outside_band": float(distance[mine & ~banded].max(initial=0.0) / brep.diagonal),
+        })
+    return rows
+
+
+def _gap(made: Assembled) -> float:
+    """Largest distance between the two sides where elements meet, evaluated independently from both elements."""
+    s = np.linspace(0.0, 1.0, 5)
+    keys, traces = [], []
+    for part in made.parts:
+        basis, local = part.block.basis, made.points[part.block.dofs]
+        m = part.corners.shape[1]
+        around = _AROUND[m]
+        for k in range(m):
+            path = around[k] + s[:, None] * (around[(k + 1) % m] - around[k])
+            x = np.einsum("sn,enc->esc", basis.tabulate(path, 0)[0], local)
+            a, b = part.corners[:, k], part.corners[:, (k + 1) % m]
+            keys.append(np.minimum(a, b) * made.vertices + np.maximum(a, b))
+            traces.append(np.where((a > b)[:, None, None], x[:, ::-1], x))
+    key, trace = np.concatenate(keys), np.concatenate(traces)
+    order = np.argsort(key, kind="stable")
+    key, trace = key[order], trace[order]
+    unique, counts = np.unique(key, return_counts=True)
+    wrong = np.flatnonzero(counts != 2)
+    if len(wrong):
+        a, b = divmod(int(unique[wrong[0]]), made.vertices)
+        raise InputError(f"mesh edge {a} - {b} of the skin has {counts[wrong[0]]} elements: the skin is not closed")
+    return float(np.abs(trace[::2] - trace[1::2]).max())
