@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Brep
+from geometry.hybrid.brep import Brep, Face
 from geometry.hybrid.chart import chart_points, line_normals, line_points
 from geometry.hybrid.curves import fit_cubics
 from geometry.hybrid.facemesh import FaceMesh, interior_pairs
@@ -30,6 +30,7 @@ SIDES = np.array([_GRID[:, 0], _GRID[3], _GRID[::-1, 3], _GRID[0, ::-1]])
 """Bicubic functions on the sides from corner to corner around: (low, low), (high, low), (high, high), (low, high)."""
 _TURNED = _GRID.T.ravel()
 """Functions with the two directions exchanged, for faces whose normal points into the solid."""
+_CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
 Coefficients = dict[tuple[int, int], Array]
 """The two inner control points (2, 3) of each side, from its lower vertex."""
 
@@ -152,7 +153,9 @@ def _vertices(
     return x, sides, curves
 
 
-def _quad_sides(face, made, net, x, sides):  # type: ignore[no-untyped-def]
+def _quad_sides(
+    face: Face, made: FaceMesh, net: Array | None, x: Array, sides: Coefficients
+) -> None:
     """Sides of quadrilaterals that are on no edge: Bezier points of the surface, or cubics fitted to it."""
     if not len(made.quads):
         return
@@ -169,10 +172,7 @@ def _quad_sides(face, made, net, x, sides):  # type: ignore[no-untyped-def]
             sides.setdefault((min(a, b), max(a, b)), own[1:3] if a < b else own[2:0:-1])
 
 
-_CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
-
-
-def _triangle_sides(face, made, x, sides):  # type: ignore[no-untyped-def]
+def _triangle_sides(face: Face, made: FaceMesh, x: Array, sides: Coefficients) -> None:
     """Interior sides of triangles: cubics fitted to the surface along straight lines of the chart."""
     pairs = {local: ends for local, ends in interior_pairs(made).items() if ends not in sides}
     if not pairs:

@@ -226,7 +226,7 @@ def _cells(brep: Brep, number: int, outline: _Outline, grid: Grid) -> tuple[Grid
     face = brep.faces[number]
     m, n = grid.kept.shape
     name = np.full((m + 1, n + 1), -1)
-    reach = [100 * ALONG * np.ptp(k) for k in face.surface.knots]
+    reach = [100 * ALONG * float(np.ptp(k)) for k in face.surface.knots]
     place, on = [], np.ones(len(outline.uv), dtype=bool)
     for d in range(2):
         at = np.abs(outline.uv[:, d, None] - grid.lines[d]).argmin(axis=1)
@@ -237,13 +237,13 @@ def _cells(brep: Brep, number: int, outline: _Outline, grid: Grid) -> tuple[Grid
     kept = grid.kept.copy()
     covered = _covered(face, grid, reach)
     sides = outline.leaving
-    for i, j in np.argwhere(kept).tolist():
-        corner = [(i + a, j + b) for a, b in _AROUND]
+    for row, column in np.argwhere(kept).tolist():
+        corner = [(row + a, column + b) for a, b in _AROUND]
         for k in range(4):
             (p, q), (r, s) = corner[k], corner[(k + 1) % 4]
             on_edge = covered[k % 2][min(p, r), min(q, s)]
             if on_edge and (name[p, q], name[r, s]) not in sides:
-                kept[i, j] = False
+                kept[row, column] = False
     used = np.zeros((m + 1, n + 1), dtype=bool)
     for a, b in _AROUND:
         used[a : a + m, b : b + n] |= kept

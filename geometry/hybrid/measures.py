@@ -152,6 +152,6 @@ def _gap(made: Assembled) -> float:
     unique, counts = np.unique(key, return_counts=True)
     wrong = np.flatnonzero(counts != 2)
     if len(wrong):
-        a, b = divmod(int(unique[wrong[0]]), made.vertices)
-        raise InputError(f"mesh edge {a} - {b} of the skin has {counts[wrong[0]]} elements: the skin is not closed")
+        low, high = divmod(int(unique[wrong[0]]), made.vertices)
+        raise InputError(f"mesh edge {low} - {high} has {counts[wrong[0]]} elements: the skin is not closed")
     return float(np.abs(trace[::2] - trace[1::2]).max())

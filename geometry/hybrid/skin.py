@@ -77,7 +77,7 @@ class Skin:
 
 def build_skin(
     brep: Brep, size: float = 0.2, tolerance: float = 2e-5, where: str = "", progress: Progress = QUIET,
-    quads: bool = True,
+    quads: bool = False,
 ) -> Skin:  # fmt: skip
     """Skin of a solid.
 

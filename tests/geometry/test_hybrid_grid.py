@@ -1,0 +1,135 @@
+"""Quadrilaterals of skins that are the CAD surface, and pyramids on them."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geometry.hybrid import read_cad, shapes
+from geometry.hybrid.brep import Brep, surface_points
+from geometry.hybrid.fitting import bezier_nets
+from geometry.hybrid.grid import agree, count_intervals, is_flat, make_grid, winding
+from geometry.hybrid.pieces import divide_edges, least_pieces
+from geometry.hybrid.settings import Settings
+from geometry.hybrid.shapes import lettered_face
+from geometry.hybrid.sizing import size_edges
+from geometry.hybrid.skin import Skin, build_skin
+from geometry.hybrid.source import domain_of
+from iga.bernstein import bernstein
+from iga.cells import QUADRILATERAL
+from iga.certificate import certify
+from iga.conditions import trace_functions
+from iga.domain import counts
+from problems.manufactured import solve_exact
+
+
+@cache
+def solid(name: str) -> Brep:
+    return shapes.SHAPES[name]()
+
+
+@cache
+def skin_of(name: str) -> Skin:
+    return build_skin(solid(name), quads=True)
+
+
+def test_box_of_splines_is_the_cad_surface() -> None:
+    skin, brep = skin_of("curved_box"), solid("curved_box")
+    assert [block.basis.cell for block in skin.space.blocks] == [QUADRILATERAL]
+    assert skin.report["exact_area_share"] == pytest.approx(1.0, abs=1e-12)
+    assert skin.report["volume_error"] < 1e-9  # what the kernel integrates
+    # Random points of the skin lie on the surface they belong to: found again by their parameters.
+    rows = skin.report["cad_faces_with_quadrilaterals"]
+    assert len(rows) == 6
+    assert all(row["distance_outside_band"] < 1e-14 for row in rows)
+    assert all((row["interior"], row["trimmed"], row["exterior"]) == (0, 1, 0) for row in rows)
+    assert sum(row["area"] for row in rows) == pytest.approx(brep.area, rel=1e-7)
+
+
+def test_trimmed_splines_have_triangles_along_the_curves() -> None:
+    skin = skin_of("curved_difference")
+    report = skin.report
+    cells = {block.basis.cell.name for block in skin.space.blocks}
+    assert cells == {"quadrilateral", "triangle"}
+    assert report["watertight_gap"] < 1e-15
+    assert report["crossings"] == report["folded"] == 0
+    assert report["max_distance"] < 2e-5
+    assert report["volume_error"] < 1e-6
+    rows = report["cad_faces_with_quadrilaterals"]
+    assert all(row["distance_outside_band"] < 1e-13 for row in rows)
+    assert any(row["triangles"] == 0 for row in rows)
+    assert any(0 < row["exact_share"] < 0.9 for row in rows)
+    assert 0.5 < report["exact_area_share"] < 1
+    # Functions on common sides are the same ones: no two functions at one place on the mesh's vertices.
+    assert len(np.unique(skin.points[: skin.vertices].round(9), axis=0)) == skin.vertices
+
+
+def test_triangles_alone_on_request() -> None:
+    skin = build_skin(solid("curved_box"), 0.4, 1e-3)
+    assert [block.basis.cell.name for block in skin.space.blocks] == ["triangle"]
+    assert skin.report["quadrilaterals"] == 0
+    assert skin.report["cad_faces_with_quadrilaterals"] == []
+
+
+def test_nets_are_the_surface_and_knots_are_lines() -> None:
+    face = lettered_face()
+    random = np.random.default_rng(11)
+    low = np.array([[0.0, 0.0], [0.25, 0.5], [0.8, 0.3]])
+    high = np.array([[0.25, 0.1], [0.4, 0.75], [1.0, 0.45]])
+    net = bezier_nets(face, low, high)
+    assert net is not None
+    at = random.random((30, 2))
+    x = np.einsum("qb,ebc->eqc", bernstein(QUADRILATERAL, 3).tabulate(at, 0)[0], net)
+    uv = low[:, None] + at * (high - low)[:, None]
+    assert np.abs(x.reshape(-1, 3) - surface_points(face.surface, uv.reshape(-1, 2))).max() < 1e-14
+    counted = count_intervals(face)
+    assert counted == {"interior": 1, "trimmed": 15, "exterior": 0}  # the border alone touches twelve
+    assert winding(face, np.array([[0.1, 0.1], [0.35, 0.6], [0.6, 0.6], [1.2, 0.5]])).tolist() == [
+        True, False, True, False
+    ]
+
+
+def test_edges_are_cut_where_lines_meet_them() -> None:
+    brep = solid("curved_box")
+    sizing, wanted = size_edges(brep, 0.2)
+    ends = divide_edges(brep, sizing, wanted, least_pieces(brep), 2e-5)
+    lines, ends = agree(brep, ends, sizing, dict.fromkeys(range(6), 0.2 * brep.diagonal))
+    for f, face in enumerate(brep.faces):
+        assert not is_flat(face.surface)
+        grid = make_grid(brep, f, lines[f], sizing)
+        assert grid.kept.all()
+        for c in face.loops[0]:
+            assert len(ends[c.edge]) in {len(x) for x in lines[f]}
+
+
+@pytest.fixture(scope="module")
+def volume():
+    return domain_of(solid("curved_box"), Settings(size=0.4, skin="hybrid", subdivide=0), "box")
+
+
+def test_pyramids_stand_on_the_quadrilaterals(volume) -> None:
+    assert counts(volume).keys() == {"pyramid", "tetrahedron"}
+    assert (certify(volume).verdict > 0).all()
+    assert volume.report["exact_area_share"] == pytest.approx(1.0, abs=1e-12)
+    skin = build_skin(solid("curved_box"), 0.4, quads=True)
+    assert volume.report["quadrilaterals"] == skin.report["quadrilaterals"] == counts(volume)["pyramid"]
+    facets = [f for own in volume.boundaries.values() for f in own]
+    assert sum(len(f.elements) for f in facets) == skin.report["quadrilaterals"]
+    on = np.unique(np.concatenate([trace_functions(volume, own) for own in volume.boundaries.values()]))
+    assert len(on) == skin.space.n  # the volume's functions on its boundary are the skin's
+    answer = solve_exact(volume, "elasticity", "x+2*y;3*z-y;x-y+z")[1]
+    assert answer["relative_h1_error"] < 1e-8
+
+
+@pytest.mark.parametrize(("file", "share"), [("block_through_hole.step", 0.7), ("block_torus_fillet3.step", 0.7)])
+def test_rational_faces_are_met_to_the_tolerance(data: Path, file: str, share: float) -> None:
+    skin = build_skin(read_cad(data / "cad" / file), quads=True)
+    report = skin.report
+    assert report["crossings"] == report["folded"] == 0
+    assert report["max_distance"] < 2e-5
+    assert report["volume_error"] < 1e-6
+    assert report["exact_area_share"] > share  # the planes
+    assert all(row["triangles"] == 0 for row in report["cad_faces_with_quadrilaterals"])
