@@ -38,6 +38,7 @@ STUDIES: dict[str, str] = {
         "hybrid_refinement",
         "meccano_square",
         "meccano_models",
+        "meccano_bunny",
         "sources_compared",
     )
 } | {"bench_cube": "bench_table"}

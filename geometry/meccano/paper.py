@@ -55,7 +55,7 @@ Kind = Literal["t-spline", "optimal"]
 Remedy = Literal["none", "refine", "untangle"]
 
 _TETS_PER_CELL = 60  # far more than an octree of their nodes needs
-_ROUNDS = 8
+_ROUNDS = 6
 _SAMPLES = 5
 
 
@@ -140,7 +140,7 @@ def _projected(space: Hierarchy, mapping: Parametrisation) -> Fit:
 
 
 def at_cells(made: Fit, local: Array) -> tuple[Array, Array]:
-    """Points (c, q, 3) and scaled Jacobians (c, q) at the same points (q, d) of all cells, cells as in the T-mesh."""
+    """Points (c, q, 3) and derivatives (c, q, 3, d) at the same points (q, d) of all cells, cells as in the T-mesh."""
     own = made.space
     if isinstance(own, TSpline):
         inside = np.flatnonzero(own.owner >= 0)
@@ -151,9 +151,9 @@ def at_cells(made: Fit, local: Array) -> tuple[Array, Array]:
         corner, size = own.tmesh.corner[inside][order], own.tmesh.size[inside][order]
         x = (corner[:, None] + size[:, None, None] * local) / FULL
         S, slopes = points_and_slopes(own, made.points, x.reshape(-1, x.shape[2]))
-        shape = (len(inside), len(local))
-        return S.reshape(*shape, 3), scale("hexahedron", slopes).reshape(shape)
-    x, scaled = np.empty((made.tmesh.cells, len(local), 3)), np.empty((made.tmesh.cells, len(local)))
+        shape = (len(inside), len(local), 3)
+        return S.reshape(shape), slopes.reshape(*shape, -1) * (size / FULL)[:, None, None, None]
+    x, J = np.empty((made.tmesh.cells, len(local), 3)), np.empty((made.tmesh.cells, len(local), 3, 3))
     domain = bare(own, made.points)
     for number, block_ in enumerate(own.space.blocks):
         cells = np.empty(block_.elements, dtype=np.int64)
@@ -162,30 +162,46 @@ def at_cells(made: Fit, local: Array) -> tuple[Array, Array]:
         for begin in range(0, block_.elements, 512):
             some = np.arange(begin, min(begin + 512, block_.elements))
             chunk = Chunk(domain, number, some, local, np.ones(len(local)))
-            x[cells[some]], scaled[cells[some]] = chunk.x, scale("hexahedron", chunk.J)
-    return x, scaled
+            x[cells[some]], J[cells[some]] = chunk.x, chunk.J
+    return x, J
 
 
 @dataclass(frozen=True)
 class Round:
-    """Cells of one round of the remedy: all, with a negative centre, with a negative one of 8 Gauss points."""
+    """Scaled Jacobians of all cells at 2 x 2 x 2 Gauss points and at the centre, as the paper counts them.
+
+    Attributes
+    ----------
+    cells : how many there are.
+    negative_centre, negative_gauss : cells with a negative centre, and with a negative Gauss point.
+    least, mean : over Gauss points.
+    below_half : share of cells with a Gauss point below one half.
+    centre_below_half : share of cells with a centre below one half.
+    volume : by the Gauss points, negative ones included.
+    """
 
     cells: int
     negative_centre: int
     negative_gauss: int
     least: float
+    mean: float
     below_half: float
+    centre_below_half: float
+    volume: float
 
 
 def judged(made: Fit) -> tuple[Round, Mask]:
     """Scaled Jacobians of a fit, and which cells (c,) have a negative centre."""
-    d = made.tmesh.dim
-    rule = gauss(made.tmesh.blocks.cell, 2).points
-    scaled = at_cells(made, np.vstack([rule, np.full((1, d), 0.5)]))[1]
-    least, bad = scaled[:, :-1].min(axis=1), scaled[:, -1] < 0.0
-    return Round(
-        made.tmesh.cells, int(bad.sum()), int((least < 0.0).sum()), float(least.min()), float((least < 0.5).mean())
-    ), bad
+    rule = gauss(made.tmesh.blocks.cell, 2)
+    J = at_cells(made, np.vstack([rule.points, np.full((1, made.tmesh.dim), 0.5)]))[1]
+    scaled = scale("hexahedron", J)
+    least, centre = scaled[:, :-1].min(axis=1), scaled[:, -1]
+    found = Round(
+        made.tmesh.cells, int((centre < 0.0).sum()), int((least < 0.0).sum()), float(least.min()),
+        float(scaled[:, :-1].mean()), float((least < 0.5).mean()), float((centre < 0.5).mean()),
+        float((np.linalg.det(J[:, :-1]) @ rule.weights).sum()),
+    )
+    return found, centre < 0.0
 
 
 def remedied(
@@ -227,7 +243,7 @@ def inner(made: Fit) -> Mask:
 
 def untangled(made: Fit, shown: Progress = QUIET) -> Fit:
     """Move inner control points until elements are certified, as far as that goes with the boundary held."""
-    found = untangle(bare(made.space, made.points), inner(made), shown=shown)
+    found = untangle(bare(made.space, made.points), inner(made), rounds=_ROUNDS, shown=shown)
     return replace(made, points=found.points)
 
 

@@ -112,9 +112,12 @@ def test_cells_are_judged() -> None:
     linear = Fit(tmesh, space, place(tmesh.blocks, *greville_points(space)))
     gap = apart(straight, linear)
     assert 0.0 < gap["rms"] < gap["largest"] < 0.08
-    places, scaled = at_cells(linear, np.full((1, 3), 0.5))
+    places, J = at_cells(linear, np.full((1, 3), 0.5))
     assert np.abs(places[:, 0] - (tmesh.corner + 0.5 * tmesh.size[:, None]) / FULL).max() < 1e-14
-    assert np.abs(scaled - 1.0).max() < 1e-13
+    sizes = (tmesh.size / FULL)[:, None, None]
+    assert np.abs(J[:, 0] - sizes * np.eye(3)).max() < 1e-14
+    assert np.abs(at_cells(straight, np.full((1, 3), 0.5))[1][:, 0] / sizes - np.eye(3)).max() < 0.3
+    assert judged(linear)[0].volume == pytest.approx(1.0, abs=1e-13)
     assert 0 < inner(straight).sum() < own.space.n
     assert not inner(linear)[[0, -1]].any()
 
