@@ -39,6 +39,7 @@ STUDIES: dict[str, str] = {
         "meccano_square",
         "meccano_models",
         "meccano_bunny",
+        "meccano_genus",
         "meccano_analysis",
         "sources_compared",
     )

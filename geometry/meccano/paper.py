@@ -87,10 +87,11 @@ def tetrahedra(
     tolerance : a length; as a volume, its cube.
     """
     bound = tolerance if measure == "distance" else tolerance**3
-    start: Literal["kuhn", "coloured"] = "kuhn" if len(mapping.blocks.corners) == 1 else "coloured"
+    one = len(mapping.blocks.corners) == 1
+    start: Literal["kuhn", "coloured"] = "kuhn" if one else "coloured"
     return parametrise(
-        mapping.blocks, lambda side, s: on_surface(mapping, side, s)[0], bound, measure, start, sweeps=sweeps,
-        most=_TETS_PER_CELL * max_cells, progress=shown,
+        mapping.blocks, lambda side, s: on_surface(mapping, side, s)[0], bound, measure, start, 3 if one else 0,
+        sweeps=sweeps, most=_TETS_PER_CELL * max_cells, progress=shown,
     )
 
 
