@@ -18,7 +18,7 @@ from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from scipy.sparse import csr_array
 
 from iga.block import Block, Kronecker, Patterns, bezier_coefficients, unity_defect
 from iga.errors import InputError
+
+if TYPE_CHECKING:
+    from iga.locate import Location
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -108,6 +111,15 @@ class Domain:
         from iga.pictures.plot import plot_domain  # needs a graphics library, which nothing else here does
 
         return plot_domain(self, path, **options)
+
+    def locate(self, points: Array, **options: Any) -> Location:
+        """Elements and reference coordinates of points (p, 3); options of `iga.locate.locate`.
+
+        The other way, the place of reference points, is `iga.locate.places`.
+        """
+        from iga.locate import locate  # which needs the certificate's tools, and they need this file
+
+        return locate(self, points, **options)
 
     @cached_property
     def map_degrees(self) -> tuple[tuple[int, ...], ...]:

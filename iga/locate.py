@@ -154,6 +154,31 @@ def locate(
     return found
 
 
+def places(domain: Domain, block: Index, element: Index, xi: Array) -> Array:
+    """Points (p, 3) of the solid at reference coordinates xi (p, 3) of elements (p,) of blocks (p,): the way back.
+
+    Raises
+    ------
+    InputError : there is no such element.
+    """
+    xi = np.asarray(xi, dtype=float)
+    result = np.empty((len(xi), 3))
+    sizes = np.array([b.elements for b in domain.space.blocks])
+    known = (block >= 0) & (block < len(sizes))
+    known[known] = (element[known] >= 0) & (element[known] < sizes[block[known]])
+    if not known.all():
+        p = int(np.argmin(known))
+        raise InputError(f"point {p}: there is no element {element[p]} of block {block[p]}")
+    for number in np.unique(block).tolist():
+        own = np.flatnonzero(block == number)
+        for rows in np.array_split(own, -(-len(own) // 4096)):
+            net = control_nets(domain, number, element[rows])
+            values = np.asarray(domain.space.blocks[number].basis.tabulate(xi[rows], 0)[0])
+            x = np.einsum("pb,pbc->pc", values, net)
+            result[rows] = x[:, :3] / x[:, 3:]
+    return result
+
+
 def _inside(domain: Domain, boxes: Tree, points: Array, rows: Index, reach: float, found: Location) -> None:
     """Newton in the candidates of each point, best ones first; then from more starts where nothing is proved."""
     start, candidates, _ = _candidates(boxes, points[rows], np.full(len(rows), reach))

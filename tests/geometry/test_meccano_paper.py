@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import geometry
-from geometry.meccano import Settings, domain_of
+from geometry.meccano import Settings, domain_of, source
 from geometry.meccano.blocks import cube, place
 from geometry.meccano.domain import bare
 from geometry.meccano.fitting import greville_points
@@ -14,7 +14,7 @@ from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.interpolation import interpolate
 from geometry.meccano.paper import Fit, apart, at_cells, boundary_triangles, inner, judged
 from geometry.meccano.parametrisation import LEVELS
-from geometry.meccano.shapes import ball, torus
+from geometry.meccano.shapes import ball
 from geometry.meccano.surface import Surface, volume
 from geometry.meccano.t_spline import t_spline
 from geometry.meccano.tmesh import refined, uniform
@@ -22,6 +22,8 @@ from iga import InputError
 from iga.assembly import volume as content
 from iga.certificate import certify
 from iga.domain import Domain, check
+from iga.locate import places
+from iga.progress import QUIET
 from iga.store import load, save
 from problems import elasticity
 from problems.manufactured import solve_exact
@@ -31,11 +33,15 @@ FULL = 1 << LEVELS
 
 @pytest.fixture(scope="module")
 def solids() -> dict[str, Domain]:
-    """The ball in both spaces, on the same octree."""
-    return {
-        space: domain_of(ball(8), Settings(meccano="cube", space=space, tolerance=0.03), "ball")
-        for space in ("t-spline", "optimal")
-    }
+    """The ball in both spaces, on the same octree, with one division of its surface."""
+    surface = ball(8)
+    mapping = source.map_of(surface, Settings(meccano="cube"), QUIET)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(source, "map_of", lambda *_: mapping)
+        return {
+            space: domain_of(surface, Settings(meccano="cube", space=space, tolerance=0.03), "ball")
+            for space in ("t-spline", "optimal")
+        }
 
 
 def test_report_of_the_stages(solids: dict[str, Domain]) -> None:
@@ -87,6 +93,26 @@ def test_displacements_are_imposed_weakly() -> None:
         elasticity.solve(elasticity.Elasticity(traction={"side0": (1.0, 0.0, 0.0)}), domain)
 
 
+@pytest.mark.parametrize("space", ["t-spline", "optimal"])
+def test_both_ways_of_the_map(solids: dict[str, Domain], space: str) -> None:
+    """From the meccano to the solid and back, and from the solid to the meccano and back."""
+    domain, rng = solids[space], np.random.default_rng(5)
+    inside = rng.uniform(-0.5, 0.5, (40, 3))
+    found = domain.locate(inside)
+    assert (found.element >= 0).all()
+    assert np.abs(places(domain, found.block, found.element, found.xi) - inside).max() < 1e-9
+    sizes = [block.elements for block in domain.space.blocks]
+    block = rng.integers(0, len(sizes), 40)
+    element, xi = rng.integers(0, np.array(sizes)[block]), rng.uniform(0.05, 0.95, (40, 3))
+    back = domain.locate(places(domain, block, element, xi))
+    assert (back.block == block).all()
+    assert (back.element == element).all()
+    assert np.abs(back.xi - xi).max() < 1e-6
+    assert (domain.locate(np.full((1, 3), 3.0)).element == -1).all()
+    with pytest.raises(InputError, match="no element"):
+        places(domain, np.array([0]), np.array([-1]), xi[:1])
+
+
 def test_refinement(solids: dict[str, Domain]) -> None:
     with pytest.raises(InputError, match="space=optimal"):
         geometry.refine(solids["t-spline"])
@@ -129,7 +155,3 @@ def test_bad_settings() -> None:
         geometry.build("x.off", "meccano", measure="area")
     with pytest.raises(InputError, match="remedy"):
         geometry.build("x.off", "meccano", remedy="hope")
-    with pytest.raises(InputError, match="cells, more than the limit of 20"):
-        domain_of(ball(6), Settings(meccano="cube", tolerance=0.02, max_cells=20))
-    with pytest.raises(InputError, match="genus"):
-        domain_of(torus(12, 6), Settings(meccano="cube"))
