@@ -36,6 +36,7 @@ STUDIES: dict[str, str] = {
         "catmull_clark_models",
         "hybrid_error",
         "hybrid_refinement",
+        "hybrid_models",
         "meccano_square",
         "meccano_models",
         "meccano_bunny",

@@ -9,6 +9,17 @@ and then the distortion of all elements is lowered, inner points free, until eac
 ideal elements have the volumes of the straight ones, and size counts as well as shape: where many elements are folded
 at the start, shape alone is cheapest for elements that shrink to nothing.
 
+**Pyramids.** In cube coordinates x = a (1-z), y = b (1-z) a pyramid's map is a sum of f_m(a, b) (1-z)^m, m = 0 .. d,
+and (1-z)^m is homogeneous of degree m about the apex: where f_m is no polynomial of degree m in (x, y), derivatives of
+order m jump there and higher ones are unbounded, and cells cut from the pyramid next to its apex keep their shape
+however often it is refined. (Cubic, bent bases: H1 rate 2.77 without, 2.87 with what follows, 2.96 on a straight box.)
+`smooth_tops` takes the nearest map whose terms m < d are polynomials,
+
+    x = q(x, y, z) + D(a, b) (1-z)^d,      q of degree d - 1,
+
+so that what only the base knows, D, meets the apex with d - 1 continuous derivatives. In the basis (1-z)^d B_i B_j are
+the functions of the base, and all others hold the coefficients of q.
+
 Axis letters: b Bernstein function, e element, c component.
 """
 
@@ -17,12 +28,16 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from iga.assembly import matrix
+from iga.bernstein import bernstein, greville, lagrange_to_bernstein
+from iga.cells import PYRAMID
+from iga.certificate import certify
 from iga.chunk import chunks
 from iga.distortion import own_shapes
 from iga.domain import Domain
@@ -92,6 +107,44 @@ def unfold(
     """Move free control points until all elements are certified, by shape and size."""
     samples = max(max(block.basis.degree) for block in domain.space.blocks) + 2
     return untangle(domain, free, shapes, rounds=rounds, samples=samples, size=SIZE, shown=shown)
+
+
+@cache
+def _polynomial_part(degree: int) -> tuple[Mask, Array]:
+    """Which of a pyramid's functions do not act on its base, and the projection of their coefficients onto those of
+    polynomials of one degree less.
+    """
+    basis = bernstein(PYRAMID, degree)
+    points = greville(basis)
+    powers = [(i, j, k) for i in range(degree) for j in range(degree - i) for k in range(degree - i - j)]
+    values = np.stack([np.prod(points ** np.array(p), axis=1) for p in powers], axis=1)
+    above = basis.exponents[:, 2] > 0
+    E = (lagrange_to_bernstein(basis, points) @ values)[above]
+    return above, E @ np.linalg.pinv(E)
+
+
+def smooth_tops(
+    domain: Domain, fixed: Mask, shapes: Sequence[Array], rounds: int = 12, shown: Progress = QUIET
+) -> Domain | None:
+    """Valid solid whose pyramids are smooth at their apexes, or None where that leaves elements that are not certified.
+
+    Parameters
+    ----------
+    domain : valid solid with identity extraction, no two pyramids of which have a lateral face in common.
+    fixed : (n,) functions on the skin.
+    """
+    points, held = domain.points.copy(), fixed.copy()
+    for block in domain.space.blocks:
+        if block.basis.cell is PYRAMID:
+            above, projection = _polynomial_part(block.basis.degree[0])
+            own = block.dofs[:, above]
+            points[own] = projection @ points[own]
+            held[block.dofs] = True
+    moved = replace(domain, points=domain.points + spread(domain, held, points - domain.points))
+    if (certify(moved, 1e9).verdict > 0).all():
+        return moved
+    made = unfold(moved, ~held, shapes, rounds, shown)
+    return None if len(made.invalid) else replace(domain, points=made.points)
 
 
 def curve(

@@ -21,6 +21,7 @@ The input is a STEP or IGES file, or the name of a shape (`shapes`). Boundaries 
 from __future__ import annotations
 
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 from geometry.hybrid import refinement
@@ -64,8 +65,11 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     """
     settings = parse(parameters)
     text = str(path)
+    began = perf_counter()
     brep = SHAPES[text]() if text in SHAPES else read_cad(path, settings.solid)
-    return domain_of(brep, settings, text if text in SHAPES else Path(path).name, progress())
+    read = perf_counter() - began
+    domain = domain_of(brep, settings, text if text in SHAPES else Path(path).name, progress())
+    return with_report(domain, stages={"read": read, **domain.report["stages"]})
 
 
 def domain_of(brep: Brep, settings: Settings | None = None, source: str = "", shown: Progress = QUIET) -> Domain:
@@ -76,12 +80,14 @@ def domain_of(brep: Brep, settings: Settings | None = None, source: str = "", sh
     source : name of the input, for the provenance and messages.
     """
     settings = settings or Settings()
+    began = perf_counter()
     skin = build_skin(brep, settings.size, settings.tolerance, source, shown, settings.skin == "hybrid")
     if skin.report.get("crossings") or skin.report.get("folded"):
         raise InputError(
             f"{source}: the skin cuts through itself or folds near {skin.report.get('worst_face', 'a face')} "
             f"({skin.report.get('crossings', 0)} crossings, {skin.report.get('folded', 0)} folds); try a smaller size"
         )
+    made = perf_counter()
     provenance = Provenance(NAME, source, {k: v for k, v in vars(settings).items() if v is not None})
     domain = volume_under(shell_of(skin), settings, source, provenance, shown)
     if settings.degree > 3:
@@ -90,7 +96,8 @@ def domain_of(brep: Brep, settings: Settings | None = None, source: str = "", sh
         domain = with_hexes(domain)
     distance = skin.report.get("max_distance")
     told = {key: value for key, value in skin.report.items() if key not in ("volume", "elements", "max_distance")}
-    domain = with_report(domain, cad_faces=len(brep.faces), cad_volume=brep.volume, **told)
+    stages = {"skin": made - began, "inside": perf_counter() - made}
+    domain = with_report(domain, cad_faces=len(brep.faces), cad_volume=brep.volume, stages=stages, **told)
     if distance is None:
         return domain
     reach = float(distance) * brep.diagonal

@@ -11,13 +11,13 @@ Axis letters: e element, v vertex, b Bernstein function, n function, c component
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.curving import curve
+from geometry.hybrid.curving import curve, sized_shapes, smooth_tops
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.filling import LIMIT, fill
 from geometry.hybrid.flat_corners import tangents_of, without_flat_corners
@@ -151,8 +151,13 @@ def assemble(
         raise AssertionError("numbering of Bernstein functions")
     outer = numbers.outer
     curved = curve(straight, outer, rows @ skin.points, rounds, shown)
+    inner, smooth = curved.points, False
+    if degree > 1 and not len(curved.invalid) and any(cell is PYRAMID for cell, _ in mesh.parts):
+        better = smooth_tops(replace(straight, points=inner), outer, sized_shapes(straight), rounds, shown)
+        smooth = better is not None
+        inner = inner if better is None else better.points
     M = volume_rows(outer, rows)
-    points = np.concatenate([skin.points, curved.points[~outer]])
+    points = np.concatenate([skin.points, inner[~outer]])
     blocks: list[Block] = []
     places: list[Index] = []
     corners: dict[str, Index] = {}
@@ -168,6 +173,8 @@ def assemble(
     origin = provenance or Provenance("hybrid")
     origin = Provenance(origin.source, origin.input, origin.parameters, {**origin.arrays, **corners})
     report = {**report, "curving_steps": curved.steps, "not_certified": len(curved.invalid)}
+    if any(cell is PYRAMID for cell, _ in mesh.parts):
+        report["smooth_pyramids"] = smooth
     return Domain(Space(tuple(blocks), M.shape[1]), points, named, provenance=origin, report=report)
 
 
