@@ -34,6 +34,7 @@ from scipy.sparse.linalg import lsqr
 from geometry.hybrid.filling import LIMIT
 from geometry.hybrid.flat_corners import tangents_of
 from geometry.hybrid.shell import Shell
+from geometry.hybrid.subdividing import refined
 from geometry.hybrid.volume import assemble, complete, degree_of, fill_skin
 from geometry.knots import extraction
 from iga.bernstein import bernstein, elevation
@@ -244,7 +245,7 @@ def _merged(facets: list[Facets]) -> tuple[Facets, ...]:
 
 def complete_with_layers(
     shell: Shell, n: int, omega: float, provenance: Provenance | None = None, limit: float = LIMIT,
-    shown: Progress = QUIET,
+    shown: Progress = QUIET, levels: int = 0,
 ) -> Domain:
     """Volume of layers, pyramids and tetrahedra under a shell, or without layers where they cannot be made valid.
 
@@ -253,6 +254,7 @@ def complete_with_layers(
     n : layers of control points less one, at least the degree.
     omega : share of the way to the mid-structure; halved where that is too much.
     limit : seconds for the mesh generator.
+    levels : how often the layers are cut with the skin, after tracing.
 
     Raises
     ------
@@ -264,12 +266,16 @@ def complete_with_layers(
     reason = ""
     for _ in range(_TRIES):
         inner, displacement = inner_shell(shell, omega)
+        outer = shell
+        for _ in range(levels):
+            inner = refined(inner, displacement)[0]
+            outer, displacement = refined(outer, displacement)
         try:
             filled = fill_skin(inner, limit)
             inside = assemble(inner, filled.mesh, filled.vertices, degree, 12, provenance, {
                 "lowest_pyramid": float(filled.heights.min(initial=np.inf)), "cut_vertices": filled.cut,
             }, shown)
-            domain = with_layers(inside, shell, displacement, n, filled.mesh.vertices)
+            domain = with_layers(inside, outer, displacement, n, filled.mesh.vertices)
             left = int((certify(domain, 1e9).verdict <= 0).sum())
             if not left:
                 return with_report(domain, omega=omega, not_certified=0)
@@ -278,4 +284,6 @@ def complete_with_layers(
             reason = f"{error} (omega={omega:g})"
         shown.say(f"layers: {reason}")
         omega /= 2.0
+    for _ in range(levels):
+        shell = refined(shell, shell.points)[0]
     return with_report(complete(shell, provenance, limit, shown=shown), layers_dropped=reason)

@@ -26,14 +26,19 @@ class Settings:
     subdivide: int | None = None
     limit: float = 300.0
     convert: str = "none"
+    refine: int = 0
+    strategy: str = "kept"
 
 
 _RANGES: dict[str, tuple[float, float]] = {
     "solid": (0, 10**6), "degree": (3, 8), "size": (1e-4, 1.0), "tolerance": (1e-10, 0.1), "layers": (0, 20),
-    "omega": (0.01, 0.95), "subdivide": (0, 4), "limit": (1.0, 1e6),
+    "omega": (0.01, 0.95), "subdivide": (0, 4), "limit": (1.0, 1e6), "refine": (0, 5),
 }
 
-_WORDS = {"convert": ("none", "hex4"), "skin": ("triangles", "hybrid")}
+_WORDS = {
+    "convert": ("none", "hex4"), "skin": ("triangles", "hybrid"),
+    "strategy": ("kept", "recomputed", "layers", "trimmed"),
+}
 
 
 def parse(parameters: Mapping[str, Any]) -> Settings:

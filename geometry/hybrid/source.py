@@ -14,12 +14,21 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
                 elements are left that are not certified
     limit       seconds after which a mesh generator is stopped (default 300)
     convert     none (default), or hex4: each tetrahedron becomes four hexahedra, exactly
+    refine      levels of refinement (default 0), by a
+    strategy    kept (default): build, then cut every cell; skin, map and partition are kept
+                recomputed: cut the skin's elements (the same surface), trace layers from it and fill the inside anew
+                layers: cut the layers with the skin, after tracing, and fill what is below them anew (Song and Cohen
+                2019, Section 6.1); without layers the same as recomputed
+                trimmed: refine the trimmed B-rep (elements of half the size, a tolerance 16 times smaller) and build
+                everything again, so that the skin comes nearer to the CAD surfaces
+                The report says in numbers what was preserved (`comparison`)
 
 The input is a STEP or IGES file, or the name of a shape (`shapes`). Boundaries carry the names of the CAD faces.
 """
 
 from __future__ import annotations
 
+from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -27,13 +36,14 @@ from typing import Any
 from geometry.hybrid import refinement
 from geometry.hybrid.brep import Brep
 from geometry.hybrid.cad import cad_format, read_cad
+from geometry.hybrid.comparison import preserved
 from geometry.hybrid.hexes import has_hexes, with_hexes, with_tets
 from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.settings import NAME, Settings, parse
 from geometry.hybrid.shapes import SHAPES
 from geometry.hybrid.shell import Shell, shell_of
 from geometry.hybrid.skin import build_skin
-from geometry.hybrid.subdividing import subdivided
+from geometry.hybrid.subdividing import refined, subdivided
 from geometry.hybrid.volume import complete
 from iga.cells import HEXAHEDRON
 from iga.domain import Domain, Provenance, with_report
@@ -41,6 +51,8 @@ from iga.errors import InputError
 from iga.progress import QUIET, Progress, progress
 
 name = NAME
+SHRINK = 16.0
+"""By how much the tolerance falls when elements of the skin are halved: cubics are of order four."""
 FEW = 400
 """Elements of a skin below which ``subdivide="auto"`` cuts them."""
 
@@ -80,6 +92,19 @@ def domain_of(brep: Brep, settings: Settings | None = None, source: str = "", sh
     source : name of the input, for the provenance and messages.
     """
     settings = settings or Settings()
+    shell, coarse = _built(brep, settings, source, shown)
+    domain = coarse
+    if settings.refine:
+        domain = _refined(brep, shell, coarse, settings, source, shown)
+        shown.say("comparing")
+        domain = with_report(domain, strategy=settings.strategy, preserved=asdict(preserved(coarse, domain)))
+    if settings.degree > 3:
+        domain = refinement.refine(domain, 0, settings.degree - 3)
+    return with_hexes(domain) if settings.convert == "hex4" else domain
+
+
+def _built(brep: Brep, settings: Settings, source: str, shown: Progress) -> tuple[Shell, Domain]:
+    """Shell as it was filled and its volume, without refinement."""
     began = perf_counter()
     skin = build_skin(brep, settings.size, settings.tolerance, source, shown, settings.skin == "hybrid")
     if skin.report.get("crossings") or skin.report.get("folded"):
@@ -89,19 +114,40 @@ def domain_of(brep: Brep, settings: Settings | None = None, source: str = "", sh
         )
     made = perf_counter()
     provenance = Provenance(NAME, source, {k: v for k, v in vars(settings).items() if v is not None})
-    domain = volume_under(shell_of(skin), settings, source, provenance, shown)
-    if settings.degree > 3:
-        domain = refinement.refine(domain, 0, settings.degree - 3)
-    if settings.convert == "hex4":
-        domain = with_hexes(domain)
+    shell = shell_of(skin)
+    domain = volume_under(shell, settings, source, provenance, shown)
+    for _ in range(domain.report["subdivided"]):
+        shell = subdivided(shell)
     distance = skin.report.get("max_distance")
     told = {key: value for key, value in skin.report.items() if key not in ("volume", "elements", "max_distance")}
     stages = {"skin": made - began, "inside": perf_counter() - made}
-    domain = with_report(domain, cad_faces=len(brep.faces), cad_volume=brep.volume, stages=stages, **told)
-    if distance is None:
-        return domain
-    reach = float(distance) * brep.diagonal
-    return with_report(domain, distance={"to_input": reach, "from_input": None, "relative": float(distance)})
+    told |= {"cad_faces": len(brep.faces), "cad_volume": brep.volume, "stages": stages}
+    if distance is not None:
+        reach = float(distance) * brep.diagonal
+        told["distance"] = {"to_input": reach, "from_input": None, "relative": float(distance)}
+    return shell, with_report(domain, **told)
+
+
+def _refined(
+    brep: Brep, shell: Shell, coarse: Domain, settings: Settings, source: str, shown: Progress
+) -> Domain:
+    """Refined volume by the strategy of the settings."""
+    levels = settings.refine
+    if settings.strategy == "kept":
+        return refinement.refine(coarse, levels)
+    if settings.strategy == "trimmed":
+        finer = replace(settings, size=settings.size / 2**levels, tolerance=settings.tolerance / SHRINK**levels)
+        return _built(brep, finer, source, shown)[1]
+    if settings.strategy == "layers" and settings.layers and "layers_dropped" not in coarse.report:
+        domain = complete_with_layers(
+            shell, settings.layers, coarse.report["omega"], coarse.provenance, settings.limit, shown, levels
+        )
+    else:
+        for _ in range(levels):
+            shell = refined(shell, shell.points)[0]
+        made = _attempt(shell, settings, source, coarse.provenance, shown)
+        domain = _told(made, coarse.report["subdivided"])
+    return replace(domain, report={**coarse.report, **domain.report, "levels": levels})
 
 
 def volume_under(

@@ -6,6 +6,8 @@ e element, k child, n function on the element, b Bernstein function, v vertex, c
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from geometry.hybrid.shell import Shell
 from iga.bernstein import functions_at
 from iga.block import Block, Patterns, bezier_coefficients, dense_extraction
 from iga.cells import QUADRILATERAL, TRIANGLE
+from iga.conforming import Complex, number
 from iga.domain import Space
 from iga.refinement import blossom_matrix, line_subdivision, simplex_children
 
@@ -51,6 +54,30 @@ def subdivided(skin: Shell) -> Shell:
     vertices[:total] = skin.vertices
     space = Space(tuple(blocks), skin.space.n, skin.space.weights)
     return Shell(space, skin.points, tuple(corners), vertices, tuple(faces), skin.names)
+
+
+def refined(skin: Shell, fields: Array) -> tuple[Shell, Array]:
+    """Cut every element of a skin in four, with C0 Bernstein functions: the same surface, more functions.
+
+    Parameters
+    ----------
+    fields : (n, c) coefficients of functions on the skin.
+
+    Returns
+    -------
+    The shell and the coefficients there; its functions contain the skin's.
+    """
+    cut = subdivided(skin)
+    degree = max(cut.space.blocks[0].basis.degree)
+    cells = tuple((block.basis.cell, own) for block, own in zip(cut.space.blocks, cut.corners))
+    dofs, n = number(Complex(cells), degree)
+    old = np.column_stack([cut.points, fields])
+    values = np.empty((n, old.shape[1]))
+    for block, own in zip(cut.space.blocks, dofs):
+        values[own] = bezier_coefficients(block, old)
+    blocks = tuple(Block(block.basis, own) for block, own in zip(cut.space.blocks, dofs))
+    shell = replace(cut, space=Space(blocks, n), points=np.ascontiguousarray(values[:, :3]))
+    return shell, np.ascontiguousarray(values[:, 3:])
 
 
 def _cut(block: Block) -> Block:
