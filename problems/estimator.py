@@ -4,7 +4,8 @@ For -div(k grad u) = f with temperatures, fluxes g and convection on the boundar
 
     eta_K^2 = h_K^2 int_K (f + div(k grad u))^2 / k
             + 1/2 sum over inner faces F of K   h_K int_F [n . k grad u]^2 / k
-            + sum over boundary faces           h_K int_F (g - n . k grad u)^2 / k       (none where u is prescribed)
+            + sum over boundary faces           h_K int_F (g - n . k grad u)^2 / k       where u is not prescribed
+            + sum over boundary faces           1/h_K int_F k (u_D - u)^2                where it is u_D
 
 bounds the energy norm of the error from above and, up to oscillation of the data, from below, with constants that
 depend on the degree and on shapes (Verfuerth, "A posteriori error estimation techniques", 2013, theorem 1.20). h_K is
@@ -14,8 +15,10 @@ Second derivatives in space follow from those in reference coordinates,
 
     H = J^-T (u_ij - sum_c (du/dx_c) x_c,ij) J^-1,
 
-with the quotient rule where functions are rational. Faces of two elements are one if their centres are; that leaves out
-faces that hang on larger ones, across which splines on T-meshes are smooth.
+with the quotient rule where functions are rational. Faces of two elements are one if their centres are. What is then
+left over inside hangs on larger faces or has smaller ones on it; there the gradient on the other side is looked up at
+each point. (On T-meshes splines are smooth across such faces, and nothing comes of it.) The last term is the
+oscillation of the data where they are imposed strongly, and what Nitsche's method leaves where weakly.
 
 Axis letters: e element, q point, c component of space, i and j reference directions, f face.
 """
@@ -29,12 +32,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from iga.bernstein import Bernstein, functions_at
-from iga.block import to_bezier
+from iga.block import bezier_coefficients, to_bezier
 from iga.cells import TRIANGLE
 from iga.chunk import SIZE, Chunk, chunks, rule_for
-from iga.domain import Domain, facets_of
+from iga.domain import Domain, all_facets, facets_of
 from iga.errors import InputError
 from iga.field import Field
+from iga.locate import locate, tree
 from problems.data import freeze, values
 from problems.formula import Formula
 from problems.heat import Heat, resolved
@@ -72,10 +76,18 @@ def indicators(problem: Heat, domain: Domain, temperature: Array, points: int | 
         diameter[rows] = _diameters(chunk)
         left = values(freeze(problem.source), chunk, ()) + _divergence(chunk, k, temperature)
         squares[rows] = diameter[rows] ** 2 * (left**2 / _mean(k, chunk) * np.abs(chunk.dx)).sum(axis=1)
-    for rows, jump in _jumps(domain, k, temperature, points, start):
+    faces, centres = _faces(domain)
+    pairs = cKDTree(centres).query_pairs(1e-8 * float(np.ptp(domain.points, axis=0).max()), output_type="ndarray")
+    jumps = [
+        *_jumps(domain, k, temperature, points, start, faces, pairs),
+        *_hanging(domain, k, temperature, points, start, np.delete(faces, np.unique(pairs), axis=0)),
+    ]
+    for rows, jump in jumps:
         squares += np.bincount(rows, 0.5 * diameter[rows] * jump, len(squares))
     for rows, square in _boundary(problem, domain, temperature, points, start):
         squares += np.bincount(rows, diameter[rows] * square, len(squares))
+    for rows, square in _missed(problem, domain, temperature, points, start):
+        squares += np.bincount(rows, square / diameter[rows], len(squares))
     return np.sqrt(squares)
 
 
@@ -177,6 +189,24 @@ def _boundary(
     return found
 
 
+def _missed(
+    problem: Heat, domain: Domain, temperature: Array, points: int | None, start: Index
+) -> list[tuple[Index, Array]]:
+    """Element rows and integrals of the squared distance from prescribed temperatures, times k; each facet once."""
+    found = []
+    seen: dict[tuple[int, int], Index] = {}
+    for name, datum in reversed(list(problem.temperature.items())):
+        for f in facets_of(domain, name):
+            before = seen.get((f.block, f.face), f.elements[:0])
+            own = np.setdiff1d(f.elements, before)
+            seen[f.block, f.face] = np.union1d(before, own)
+            for chunk in _facet_chunks(domain, f.block, f.face, own, points):
+                gap = values(freeze(datum), chunk, ()) - chunk.at(temperature)
+                square = gap**2 * _mean(problem.conductivity, chunk)
+                found.append((start[chunk.block] + chunk.elements, (square * chunk.dx).sum(axis=1)))
+    return found
+
+
 def _facet_chunks(domain: Domain, block: int, face: int, elements: Index, points: int | None) -> list[Chunk]:
     """Chunks of facets at points that are symmetric on the face, so that they fit from both sides."""
     basis = domain.space.blocks[block].basis
@@ -196,12 +226,9 @@ def _facet_chunks(domain: Domain, block: int, face: int, elements: Index, points
 
 
 def _jumps(
-    domain: Domain, k: Any, temperature: Array, points: int | None, start: Index
+    domain: Domain, k: Any, temperature: Array, points: int | None, start: Index, faces: Index, pairs: Index
 ) -> list[tuple[Index, Array]]:
-    """Element rows and integrals of the squared jump of the flux over k, twice for each inner face."""
-    faces, centres = _faces(domain)
-    size = float(np.ptp(domain.points, axis=0).max())
-    pairs = cKDTree(centres).query_pairs(1e-8 * size, output_type="ndarray")
+    """Element rows and integrals of the squared jump of the flux over k, twice for each pair of faces (p, 2)."""
     if not len(pairs):
         return []
     used = np.unique(pairs)
@@ -219,6 +246,55 @@ def _jumps(
         square[some] = (jump**2 * np.nan_to_num(weight[a])).sum(axis=1)
     rows = start[faces[:, 0]] + faces[:, 2]
     return [(rows[pairs[:, side]], square) for side in (0, 1)]
+
+
+def _hanging(
+    domain: Domain, k: Any, temperature: Array, points: int | None, start: Index, faces: Index
+) -> list[tuple[Index, Array]]:
+    """Element rows and integrals of the squared jump of the flux over k on faces (f, 3) without a partner."""
+    outer = {(f.block, f.face): f.elements for f in all_facets(domain)}
+    found: list[tuple[Index, Array]] = []
+    boxes = None
+    for number, face in np.unique(faces[:, :2], axis=0).tolist():
+        mine = faces[(faces[:, :2] == (number, face)).all(axis=1), 2]
+        mine = np.setdiff1d(mine, outer.get((number, face), mine[:0]))
+        for chunk in _facet_chunks(domain, number, face, mine, points) if len(mine) else ():
+            boxes = boxes or tree(domain)
+            normal = chunk.normal
+            beyond = chunk.x + _BEYOND * np.sqrt(chunk.dx.sum(axis=1))[:, None, None] * normal
+            there = locate(domain, beyond.reshape(-1, 3), boxes=boxes)
+            inside = there.element >= 0
+            slope = chunk.gradient(temperature)
+            jump = np.zeros(slope.shape).reshape(-1, 3)
+            other = _gradients(domain, temperature, there.block[inside], there.element[inside], there.xi[inside])
+            jump[inside] = slope.reshape(-1, 3)[inside] - other
+            value = _conductivity(k, chunk)
+            step = jump.reshape(slope.shape)
+            flux = value[..., None] * step if value.ndim == 2 else (value @ step[..., None])[..., 0]
+            square = (normal * flux).sum(axis=-1) ** 2 / _mean(k, chunk)
+            found.append((start[number] + chunk.elements, (square * chunk.dx).sum(axis=1)))
+    return found
+
+
+_BEYOND = 1e-6  # of a face's size: across it for sure, and no gradient changes on the way
+
+
+def _gradients(domain: Domain, temperature: Array, block: Index, element: Index, xi: Array) -> Array:
+    """Gradients (p, 3) of the temperature at reference points xi (p, 3) of elements (p,) of blocks (p,)."""
+    weights = domain.space.weights
+    fields = np.column_stack([domain.points, temperature, np.ones(len(temperature))])
+    fields = fields if weights is None else fields * weights[:, None]
+    result = np.empty((len(xi), 3))
+    for number in np.unique(block).tolist():
+        own = np.flatnonzero(block == number)
+        for rows in np.array_split(own, -(-len(own) // 4096)):
+            net = bezier_coefficients(domain.space.blocks[number], fields, element[rows])
+            N, dN = domain.space.blocks[number].basis.tabulate(xi[rows], 1)
+            A, D = np.einsum("pb,pbc->pc", N, net), np.einsum("pbi,pbc->pci", dN, net)
+            W, dW = A[:, 4:], D[:, 4:]
+            D = (D[:, :4] - (A[:, :4] / W)[..., None] * dW) / W[..., None]
+            result[rows] = np.linalg.solve(D[:, :3].swapaxes(1, 2), D[:, 3, :, None])[..., 0]
+    return result
 
 
 def _faces(domain: Domain) -> tuple[Index, Array]:

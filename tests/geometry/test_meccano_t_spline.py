@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from geometry.meccano.blocks import cube, place
-from geometry.meccano.interpolation import blending, collocation, interpolate
+from geometry.meccano.interpolation import blending, collocation, interpolate, points_and_slopes, resampled
 from geometry.meccano.parametrisation import LEVELS
 from geometry.meccano.t_spline import TSpline, boundaries, places_of, t_spline
 from geometry.meccano.tmesh import TMesh, octree, refined, uniform
 from iga.assembly import volume
-from iga.block import dense_extraction
+from iga.block import bezier_coefficients, dense_extraction
 from iga.certificate import certify
 from iga.chunk import Chunk, facet_chunks
 from iga.conditions import DependentTracesError, dirichlet
@@ -98,11 +98,15 @@ def test_elements_carry_the_functions_exactly(dim: int) -> None:
     assert worst < 1e-14
 
 
-def test_functions_are_twice_differentiable() -> None:
-    """Values and derivatives of all functions from the two elements that meet at a point of an inner face."""
-    own = t_spline(graded(2, 5, 11))
+@pytest.mark.parametrize(("dim", "rounds", "least"), [(2, 5, 50), (3, 2, 100)])
+def test_functions_are_twice_differentiable(dim: int, rounds: int, least: int) -> None:
+    """Values and derivatives of all B_a and of S from the two elements that meet at a point of an inner face."""
+    own = t_spline(graded(dim, rounds, 11))
+    rng = np.random.default_rng(13)
+    points = rng.random((own.space.n, 3))
 
     def derivatives(e: int, x: np.ndarray) -> list[np.ndarray]:
+        """Orders 0, 1 and 2 of all functions, and of the components of S."""
         number, element = own.element[e]
         block, size = own.space.blocks[number], (own.high[e] - own.low[e]) / FULL
         table = block.basis.tabulate(((x - own.low[e] / FULL) / size)[None], 2)
@@ -110,27 +114,43 @@ def test_functions_are_twice_differentiable() -> None:
         assert C is not None
         found = []
         for order, values in enumerate(table):
-            full = np.zeros((own.space.n, 2**order))
+            full = np.zeros((own.space.n, dim**order))
             scale = [1 / size, np.multiply.outer(1 / size, 1 / size)][order - 1].ravel() if order else np.ones(1)
             full[block.dofs[element]] = C[0] @ values[0].reshape(block.basis.n, -1) * scale
             found.append(full)
-        return found
+        # S W = A: each derivative of S from those of A and W.
+        (W, A), (W1, A1), (W2, A2) = ((full.sum(axis=0), points.T @ full) for full in found)
+        S = A / W
+        S1 = (A1 - S * W1) / W
+        cross = np.einsum("ci,j->cij", S1, W1)
+        S2 = (A2 - S * W2 - (cross + cross.swapaxes(1, 2)).reshape(3, -1)) / W
+        return [*found, S, S1, S2]
 
-    rng = np.random.default_rng(13)
     seen = 0
     for e in range(len(own.low)):
-        for axis in range(2):
+        for axis in range(dim):
             if own.low[e, axis] == 0:
                 continue
-            x = own.low[e] + rng.random(2) * (own.high[e] - own.low[e])
+            x = own.low[e] + rng.random(dim) * (own.high[e] - own.low[e])
             x[axis] = own.low[e, axis]
             below = x.copy()
             below[axis] -= 1
             other = int(np.flatnonzero(((own.low <= below) & (below < own.high)).all(axis=1))[0])
-            for order, (here, there) in enumerate(zip(derivatives(e, x / FULL), derivatives(other, x / FULL))):
-                assert np.abs(here - there).max() < 1e-10, order
+            for number, (here, there) in enumerate(zip(derivatives(e, x / FULL), derivatives(other, x / FULL))):
+                assert np.abs(here - there).max() < 1e-10 * max(1.0, float(np.abs(here).max())), number
             seen += 1
-    assert seen > 50
+    assert seen > least
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_sum_of_the_functions_never_vanishes(dim: int) -> None:
+    """Its Bernstein coefficients, and so itself, are well above zero on every element of strongly graded meshes."""
+    for seed in range(4):
+        own = t_spline(graded(dim, 6 if dim == 2 else 3, seed))
+        least = min(
+            float(bezier_coefficients(block, np.ones((own.space.n, 1)))[..., 0].min()) for block in own.space.blocks
+        )
+        assert least > 0.4 if dim == 2 else least > 0.3
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -187,6 +207,18 @@ def test_identity_deviates_to_first_order() -> None:
         own = t_spline(uniform(cube(2), level))
         control, _ = interpolate(own, own.anchors / FULL)
         assert np.abs(collocation(own, x) @ control - x).max() == pytest.approx(expected, rel=0.05)
+
+
+def test_another_mesh_takes_the_solid_over() -> None:
+    """At its anchors exactly; the function that evaluates agrees with the matrices."""
+    own = t_spline(graded(3, 1, 9))
+    control = np.random.default_rng(4).random((own.space.n, 3))
+    other, points = resampled(own, control, refined(own.tmesh, np.array([0])))
+    at = other.anchors / FULL
+    x, slopes = points_and_slopes(own, control, at)
+    assert np.abs(collocation(own, at) @ control - x).max() < 1e-13
+    assert np.abs(points_and_slopes(other, points, at)[0] - x).max() < 1e-12
+    assert slopes.shape == (len(at), 3, 3)
 
 
 def test_conditioning_is_harmless() -> None:

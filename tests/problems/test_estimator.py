@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from iga.bernstein import bernstein
+from iga.block import Block
 from iga.cells import HEXAHEDRON, PYRAMID, TETRAHEDRON, WEDGE, Cell
 from iga.chunk import Chunk
 from iga.conforming import straight_domain
-from iga.domain import Domain, Space
+from iga.domain import Domain, Facets, Space
 from iga.errors import InputError
 from iga.field import Field
 from problems import heat
@@ -80,6 +82,36 @@ def test_jump_of_a_kink() -> None:
     problem = heat.Heat(3.0, 0.0, {"x?": 1.0})
     found = indicators(problem, domain, u)
     assert found == pytest.approx(np.full(2, np.sqrt(0.5 * np.sqrt(3) * 36 / 3)), rel=1e-12)
+
+
+def test_jump_across_a_hanging_face() -> None:
+    """A unit cube beside four bars of half its width, u = |x - 1|, k = 3: each side has its share of its own faces."""
+    corners = HEXAHEDRON.vertices
+    bars = [[1.0, 0.5 * j, 0.5 * k] + corners * [1.0, 0.5, 0.5] for j in (0, 1) for k in (0, 1)]
+    points = np.concatenate([corners, *bars])
+    basis = bernstein(HEXAHEDRON, 1)
+    blocks = (Block(basis, np.arange(8)[None]), Block(basis, 8 + np.arange(32).reshape(4, 8)))
+    low, high = (
+        next(k for k, face in enumerate(HEXAHEDRON.faces) if (corners[list(face.vertices), 0] == end).all())
+        for end in (0, 1)
+    )
+    ends = {"low": (Facets(0, low, np.array([0])),), "high": (Facets(1, high, np.arange(4)),)}
+    domain = Domain(Space(blocks, len(points)), points, ends)
+    problem = heat.Heat(3.0, 0.0, {"low": 1.0, "high": 1.0})
+    found = indicators(problem, domain, np.abs(points[:, 0] - 1))
+    bar = np.sqrt(1.5)
+    expected = [0.5 * np.sqrt(3) * 36 / 3] + 4 * [0.5 * bar * 36 / 3 / 4]
+    assert found**2 == pytest.approx(expected, rel=1e-10)
+
+
+def test_temperatures_that_are_missed() -> None:
+    """One cube, u = x, k = 2, 0.5 prescribed on x = 0 under two names: 2 int 0.25 / h, once."""
+    domain = box((1, 1, 1), 1)
+    twice = Domain(domain.space, domain.points, {**domain.boundaries, "again": domain.boundaries["x0"]})
+    expected = 2.0 * 0.25 / np.sqrt(3)
+    for held in ({"x0": 0.5}, {"x0": 7.0, "again": 0.5}):
+        problem = heat.Heat(2.0, 0.0, held, {"x1": 2.0})
+        assert indicators(problem, twice, domain.points[:, 0]) == pytest.approx([np.sqrt(expected)], rel=1e-12)
 
 
 def test_residuals_inside_and_on_the_boundary() -> None:
