@@ -92,16 +92,18 @@ def hex_mesh(points: Array, hexes: Index, attributes: Mapping[str, Array] | None
     bad = used[~np.isfinite(points[used]).all(axis=1)]
     if len(bad):
         raise InputError(f"vertex {bad[0]} is not finite")
-    if len(used) < len(points):
-        number = np.full(len(points), -1, dtype=np.int64)
-        number[used] = np.arange(len(used))
-        points, hexes = points[used], number[hexes]
-        attributes = {name: values[used] for name, values in attributes.items()}
+    # All checks come before vertices are numbered anew, so that messages name them as the file does.
     build_topology(hexes, len(points))  # raises before orientation is tried
     hexes, mirrored = orient(hexes, len(points), points)
     topology = build_topology(hexes, len(points))
     _check_hanging(points, topology)
     check_topology(topology)
+    if len(used) < len(points):
+        number = np.full(len(points), -1, dtype=np.int64)
+        number[used] = np.arange(len(used))
+        points = points[used]
+        topology = build_topology(number[hexes], len(points))
+        attributes = {name: values[used] for name, values in attributes.items()}
     return HexMesh(points, topology, attributes, mirrored)
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import meshio
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import geometry.catmull_clark as source
 from geometry.catmull_clark.features import smooth_folds, with_features
 from geometry.catmull_clark.mesh import hex_mesh, read_hexes
 from geometry.catmull_clark.shapes import ball, box, cross_of_tetrahedra, fan, tetrahedron
 from geometry.catmull_clark.topology import MIRROR, build_topology
 from iga.cells import HEXAHEDRON
+from iga.certificate import certify
 from iga.errors import FormatError, InputError
 
 
@@ -91,7 +96,7 @@ def test_refusals_name_the_entity() -> None:
     bad[5, 1] = np.nan
     _refused(bad, cells, "vertex 5 is not finite")
     _refused(points, cells[[0, 6]], "edge between vertices .* 4 boundary faces")
-    _refused(points, cells[[0, 7]], "vertex 13 do not form one piece|cells at vertex 7 do not")
+    _refused(points, cells[[0, 7]], "the cells at vertex 13 do not form one piece")
     swapped = cells.copy()
     swapped[0] = swapped[0][[0, 1, 3, 2, 4, 5, 7, 6]]
     _refused(points, swapped, "element")
@@ -102,12 +107,115 @@ def test_refusals_name_the_entity() -> None:
     _refused(more, third, "belongs to 3 cells")
 
 
-def test_hanging_nodes_are_refused() -> None:
+# One test for each kind of bad input, from a file, as a user meets it.
+
+
+def _file(path: Path, points: np.ndarray, cells: np.ndarray) -> Path:
+    meshio.write(path, meshio.Mesh(points, [("hexahedron", np.asarray(cells)[:, np.array(HEXAHEDRON.vtk)])]))
+    return path
+
+
+def _said(path: Path, **settings: object) -> str:
+    """The one line with which a build is refused; it names the file."""
+    with pytest.raises(InputError) as caught:
+        source.build(path, **settings)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert path.name in line
+    return line
+
+
+def test_bad_input_cells_that_are_no_hexahedra(tmp_path: Path) -> None:
+    points, cells = box(2, 1, 1)
+    path = tmp_path / "mixed.vtk"
+    wedge = cells[1][[0, 2, 4, 1, 3, 5]]
+    blocks = [("hexahedron", cells[:1, np.array(HEXAHEDRON.vtk)]), ("wedge", wedge[None])]
+    meshio.write(path, meshio.Mesh(points, blocks))
+    assert "holds 1 wedges; this source needs a mesh of linear hexahedra only" in _said(path)
+
+
+def test_bad_input_hanging_nodes(tmp_path: Path) -> None:
     coarse, one = box(1, 1, 1)
     fine, eight = box(2, 2, 2)
     points = np.concatenate([2.0 * coarse, fine + np.array([2.0, 0.0, 0.0])])
     keep, back = np.unique(points, axis=0, return_inverse=True)
-    _refused(keep, back.ravel()[np.concatenate([one, eight + 8])], "hangs in the middle")
+    cells = back.ravel()[np.concatenate([one, eight + 8])]
+    said = _said(_file(tmp_path / "hanging.vtk", keep, cells))
+    found = re.search(r"vertex (\d+) hangs in the middle of the edge between vertices (\d+) and (\d+)", said)
+    assert found is not None
+    vertex, a, b = (keep[int(number)] for number in found.groups())
+    np.testing.assert_allclose(vertex, (a + b) / 2)
+
+
+def test_bad_input_edges_with_too_many_boundary_faces(tmp_path: Path) -> None:
+    """Three wings around an edge: two faces of each."""
+    points, cells = fan(6, layers=1, rings=1)
+    said = _said(_file(tmp_path / "wings.vtk", points, cells[::2]))
+    a, b = np.flatnonzero(np.abs(points[:, :2]).sum(axis=1) < 1e-12).tolist()
+    assert f"the edge between vertices {a} and {b} has 6 boundary faces" in said
+
+
+def test_bad_input_faces_of_three_cells(tmp_path: Path) -> None:
+    """Only so can an edge have three boundary faces: each cell brings two, each face between two cells takes two."""
+    points, cells = box(2, 1, 1)
+    far = points[cells[1][4:]] + np.array([0.0, 3.0, 0.0])
+    third = np.concatenate([cells[1][:4], len(points) + np.arange(4)])
+    path = _file(tmp_path / "three.vtk", np.concatenate([points, far]), np.concatenate([cells, third[None]]))
+    shared = ", ".join(map(str, np.sort(cells[1][:4]).tolist()))
+    assert f"the face with vertices {shared} belongs to 3 cells" in _said(path)
+
+
+def test_bad_input_solids_that_touch_at_an_edge(tmp_path: Path) -> None:
+    points, cells = box(2, 2, 1)
+    said = _said(_file(tmp_path / "edge.vtk", points, cells[[0, 3]]))
+    a, b = np.flatnonzero((points[:, :2] == 1.0).all(axis=1)).tolist()
+    assert f"the edge between vertices {a} and {b} has 4 boundary faces; the solid touches itself there" in said
+
+
+def test_bad_input_solids_that_touch_at_a_vertex(tmp_path: Path) -> None:
+    points, cells = box(2, 2, 2)
+    said = _said(_file(tmp_path / "vertex.vtk", points, cells[[0, 7]]))
+    assert "the cells at vertex 13 do not form one piece" in said
+
+
+def test_bad_input_attributes_of_the_wrong_length() -> None:
+    """No file format of meshio can hold one, so it comes from arrays."""
+    points, cells = box(1, 1, 2)
+    _refused(points, cells, "attribute 'density' has 11 values for 12 vertices", attributes={"density": np.ones(11)})
+
+
+@pytest.mark.parametrize(("key", "value"), [("lambda", "0"), ("lambda", "1"), ("lambda", "-0.2"), ("mu", "1.5")])
+def test_bad_input_shape_parameters(key: str, value: str) -> None:
+    with pytest.raises(InputError, match=f"^{key} must lie between 0 and 1, not {float(value):g}$"):
+        source.build("box", interpolate="pushback", **{key: value})
+
+
+def test_bad_input_shape_parameters_of_one_entity() -> None:
+    points, cells = box(1, 1, 2)
+    lam = np.full(20, 0.25)
+    lam[7] = 1.25
+    with pytest.raises(InputError, match=r"^lambda of edge 7 is 1\.25; it must lie between 0 and 1$"):
+        source.domain_of(hex_mesh(points, cells), source.Settings(interpolate="pushback", lam=lam))
+
+
+def test_inverted_hexahedra_are_built_and_told() -> None:
+    """Not refused: the certificate refutes them, each with a point."""
+    points, cells = box(3, 3, 3)
+    points[np.flatnonzero((points == [1, 1, 1]).all(axis=1))] = [7.0, 7.0, 7.0]
+    domain = source.domain_of(hex_mesh(points, cells), source.Settings(interpolate="none"))
+    found = certify(domain)
+    assert (found.verdict < 0).any()
+    assert len(found.witnesses.element) == (found.verdict < 0).sum()
+
+
+def test_unused_vertices_keep_their_numbers_in_messages(tmp_path: Path) -> None:
+    points, cells = box(2, 2, 2)
+    more = np.concatenate([np.full((5, 3), 9.0), points])
+    said = _said(_file(tmp_path / "unused.vtk", more, cells[[0, 7]] + 5))
+    assert "the cells at vertex 18 do not form one piece" in said
+    mesh = hex_mesh(more, cells + 5)
+    assert mesh.topology.vertices == 27
+    np.testing.assert_array_equal(mesh.topology.hexes, cells)
 
 
 @pytest.mark.parametrize("suffix", ["vtk", "vtu", "mesh", "inp", "msh"])
