@@ -274,7 +274,8 @@ class _Task:
         while len(invalid):
             back = self.touching(self.mask(invalid))
             share[back] = np.where(share[back] > 0.2, 0.5 * share[back], 0.0)
-            near = np.flatnonzero(self.elements_of(back))
+            # Elements not seen are broken from the start: they never become valid, and need not.
+            near = seen[self.elements_of(back)[seen]]
             invalid, _ = self.check(points + self.moves @ (share[:, None] * step), near, depth)
         return points + self.moves @ (share[:, None] * step), count
 

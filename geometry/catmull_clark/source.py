@@ -18,8 +18,10 @@ r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
 itself fine; where it folds cells that the approximating volume keeps valid, interior control points nearby are moved,
 so that the boundary is interpolated exactly and interior vertices as far as validity allows; a mesh that folds without
 interpolation is left alone. The other settings interpolate every vertex, come what may. ``repair`` does the same
-wherever cells are invalid; where the interpolating boundary itself folds it is interpolated less, and only if that does
-not suffice are boundary points optimised too.
+wherever cells are invalid; where that does not suffice, because faces of the boundary fold or meet in one plane across
+an edge, boundary points are freed too, on springs that let them slide along the surface before they leave it, and all
+go back as far as validity allows (see `repair`). The report says how many boundary vertices are no longer interpolated
+and how far the surface is from them.
 
 Refinement is one subdivision step of control points and attributes; the optimal space is built anew on the subdivided
 mesh, over the map of the input mesh.
@@ -44,15 +46,15 @@ from geometry.catmull_clark.lattice import limit_matrix
 from geometry.catmull_clark.mesh import SUFFIXES, HexMesh, hex_mesh, read_hexes
 from geometry.catmull_clark.optimal import build_optimal
 from geometry.catmull_clark.pillowing import pillow
-from geometry.catmull_clark.relaxation import follow, relax
+from geometry.catmull_clark.repair import repair, surface_distance
 from geometry.catmull_clark.settings import NAME, Parameter, Settings, parse
 from geometry.catmull_clark.shapes import SHAPES
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology, build_topology, with_kinds
-from geometry.catmull_clark.untangling import Closures, Untangled, closures, invalid_cells, untangle
 from iga.certificate import certify
 from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
+from iga.progress import QUIET, Progress, progress
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -61,10 +63,6 @@ name = NAME
 PIECES = 30_000
 """Pieces up to which ``depth="auto"`` subdivides irregular cells."""
 _GROWTH = (1, 8, 20)
-_FEW = 50
-"""Invalid cells up to which interior points are optimised at once; more are first made to follow the boundary."""
-_MANY = 400
-"""Invalid cells up to which the optimisation is tried from both starts."""
 
 
 def reads(path: str | Path) -> bool:
@@ -96,15 +94,18 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     """
     settings = parse(parameters)
     mesh = hex_mesh(*SHAPES[str(path)]()) if str(path) in SHAPES else read_hexes(path)
-    return domain_of(mesh, settings, Path(path).name)
+    return domain_of(mesh, settings, Path(path).name, progress())
 
 
-def domain_of(mesh: HexMesh, settings: Settings | None = None, source: str = "") -> Domain:
+def domain_of(
+    mesh: HexMesh, settings: Settings | None = None, source: str = "", shown: Progress = QUIET
+) -> Domain:
     """Domain of a mesh in memory.
 
     Parameters
     ----------
     source : name of the input, for the provenance.
+    shown : where long steps are told.
     """
     settings = settings or Settings()
     mesh = pillow(mesh) if settings.pillow else mesh
@@ -112,10 +113,11 @@ def domain_of(mesh: HexMesh, settings: Settings | None = None, source: str = "")
     topology = with_features(mesh.topology, mesh.points, settings.features)
     given, columns = _stack(mesh.points, attributes)
     result = _interpolate(topology, given, settings, mesh.attributes)
-    control, moved, invalid = _validate(result, mesh.points, settings, len(given))
+    control, invalid = _validate(result, mesh.points, settings, shown)
+    moved = int((control != result.values[:, :3]).any(axis=1).sum())
     values = np.column_stack([control, result.values[:, 3:]])
     report = _report(mesh, topology, result, settings)
-    report |= {"moved_vertices": int(moved), "invalid_closures": int(invalid)}
+    report |= {"moved_vertices": moved, "invalid_closures": invalid}
     if moved:
         report |= _errors(result.topology, values, given)
     carried = {key: _column(values, at, mesh.attributes[key]) for key, at in columns.items()}
@@ -267,59 +269,33 @@ def _shape(key: str, value: Parameter, members: Index, fields: Mapping[str, Arra
     return np.asarray(fields[value][members].mean(axis=1))
 
 
-def _validate(result: Interpolation, points: Array, settings: Settings, vertices: int) -> tuple[Array, int, int]:
-    """Control points moved where the settings ask for it, how many were, and how many closures stay invalid."""
+def _validate(result: Interpolation, points: Array, settings: Settings, shown: Progress) -> tuple[Array, int]:
+    """Control points moved where the settings ask for it, and how many closures stay invalid; -1 if none was asked."""
     control = result.values[:, :3].copy()
     t = result.topology
     if settings.interpolate != "auto" and not settings.repair:
-        return control, 0, -1
+        return control, -1
     reference = points if t.vertices == len(points) else control
-    made = closures(t, reference)
-    invalid = invalid_cells(made, control)
-    count = len(invalid)
-    if not count:
-        return control, 0, 0
-    start = control.copy()
-    if not settings.repair:
-        if len(invalid_cells(made, reference)):
-            return control, 0, count  # the input itself folds: that is told, and mended only if asked for
-        moved = _unfold(made, reference, control, invalid)
-        return moved.control, int((moved.control != start).any(axis=1).sum()), len(moved.invalid)
-    moved = _unfold(made, reference, control, invalid)
-    if len(moved.invalid) and t.vertices == len(points):
-        # What is left may be faces of the boundary that fold: interpolate less there, and start again.
-        relaxed = relax(t, made.rows, made.matrix, points, start)
-        if (relaxed != start).any():
-            again = _unfold(made, reference, relaxed, invalid_cells(made, relaxed))
-            moved = again if len(again.invalid) < len(moved.invalid) else moved
-    if len(moved.invalid):
-        last = untangle(made, moved.control, moved.invalid, boundary=True)
-        moved = last if len(last.invalid) < len(moved.invalid) else moved
-    return moved.control, int((moved.control != start).any(axis=1).sum()), len(moved.invalid)
-
-
-def _unfold(made: Closures, points: Array, control: Array, invalid: Index) -> Untangled:
-    """Mend cells by interior points: they follow the boundary first where many are bad, then they are optimised."""
-    best = None
-    if len(invalid) > _FEW:
-        followed = follow(made.topology, points, control, invalid)
-        left = invalid_cells(made, followed)
-        if len(left) < len(invalid):
-            best = untangle(made, followed, left)
-    if best is None or (len(best.invalid) and len(invalid) <= _MANY):
-        again = untangle(made, control, invalid)
-        best = again if best is None or len(again.invalid) < len(best.invalid) else best
-    return best
+    made = repair(t, reference, control, settings.repair, shown)
+    return made.control, len(made.invalid)
 
 
 def _errors(topology: Topology, values: Array, given: Array) -> dict[str, float]:
-    """Largest distance of limit points from the given vertices, over the diagonal: everywhere and on the boundary."""
+    """How far the limit is from the given vertices, over the diagonal.
+
+    Of limit points from their vertices, everywhere and on the boundary; how many boundary vertices are not
+    interpolated; and of the boundary surface from them: they may have slid along it.
+    """
     limit = (limit_matrix(topology) @ values[:, :3])[: len(given)]
     distance = np.linalg.norm(limit - given[:, :3], axis=1) / interpolation.diagonal(given[:, :3])
     outer = topology.vertex_kind[: len(given)] != INTERIOR
+    slid = np.flatnonzero(outer)[distance[outer] > 1e-9]
+    off = surface_distance(topology, values[:, :3], given[slid, :3]) if len(slid) else np.zeros(1)
     return {
         "interpolation_error": float(distance.max()),
         "interpolation_error_boundary": float(distance[outer].max()),
+        "moved_boundary_vertices": len(slid),
+        "boundary_distance": float(off.max()) / interpolation.diagonal(given[:, :3]),
     }
 
 

@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 
 import geometry.catmull_clark as source
-from geometry.catmull_clark import mean_ratio
-from geometry.catmull_clark.features import with_features
 from geometry.catmull_clark.mesh import hex_mesh
 from geometry.catmull_clark.settings import Settings, parse
 from geometry.catmull_clark.shapes import ball, box, fan
-from geometry.catmull_clark.untangling import closures, invalid_cells, untangle
 from iga.assembly import volume
 from iga.cells import HEXAHEDRON
 from iga.certificate import quality
@@ -103,45 +100,6 @@ def test_settings_are_checked() -> None:
         source.domain_of(mesh, made)
     with pytest.raises(InputError, match="elevated"):
         source.refine(source.domain_of(mesh), elevate=1)
-
-
-def test_gradient_of_the_mean_ratio() -> None:
-    points, cells = fan(5)
-    made = closures(with_features(hex_mesh(points, cells).topology, points), points)
-    index = np.ascontiguousarray(made.rows.cells[:3])
-    rng = np.random.default_rng(7)
-    b = made.matrix @ (points + 0.01 * rng.standard_normal(points.shape))
-    inverse = 1.0 / made.lengths[:3]
-    V, G = mean_ratio.tables(np.array([0.0, 0.4, 1.0]))
-    for delta in (0.0, 0.3):
-        gradient, scratch = np.zeros_like(b), np.zeros_like(b)
-        mean_ratio.mean_ratio(b, index, inverse, delta, V, G, gradient)
-        step = np.zeros_like(b)
-        step[np.unique(index)] = rng.standard_normal((len(np.unique(index)), 3))
-        h = 1e-6
-        ahead = mean_ratio.mean_ratio(b + h * step, index, inverse, delta, V, G, scratch)
-        behind = mean_ratio.mean_ratio(b - h * step, index, inverse, delta, V, G, scratch)
-        np.testing.assert_allclose((ahead - behind) / (2 * h), (gradient * step).sum(), rtol=1e-6)
-    folded = b.copy()
-    folded[:, 0] *= -1
-    assert mean_ratio.mean_ratio(folded, index, inverse, 0.0, V, G, np.zeros_like(b)) == np.inf
-    assert np.isfinite(mean_ratio.mean_ratio(folded, index, inverse, 0.1, V, G, np.zeros_like(b)))
-
-
-def test_untangling_moves_only_what_it_must() -> None:
-    points, cells = box(4, 4, 4)
-    t = with_features(hex_mesh(points, cells).topology, points)
-    control = points.copy()
-    inside = int(np.flatnonzero((points == 2).all(axis=1))[0])
-    control[inside] += [3.5, 3.0, 0.5]
-    made = closures(t, points)
-    invalid = invalid_cells(made, control)
-    assert len(invalid)
-    found = untangle(made, control, invalid)
-    assert not len(found.invalid)
-    assert not len(invalid_cells(made, found.control))
-    outer = t.vertex_kind < 3
-    np.testing.assert_array_equal(found.control[outer], control[outer])
 
 
 def test_folds_of_interpolation_are_undone_but_those_of_the_input_are_told() -> None:

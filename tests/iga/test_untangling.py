@@ -18,7 +18,7 @@ from iga.descent import descend
 from iga.distortion import Batch, evaluate, own_shapes, sample_points, table_at, tables_at
 from iga.domain import Domain, Space
 from iga.scaled_jacobian import scaled_jacobian
-from iga.untangling import Tether, smooth, untangle
+from iga.untangling import Tether, approach, smooth, untangle
 from tests.meshes import box_complex, mixed_complex
 from tests.splines import cube
 
@@ -196,6 +196,21 @@ def test_smoothing_leaves_invalid_elements_alone():
     assert found.invalid[:, 1].tolist() == bad.tolist()
     kept = np.unique(domain.space.blocks[0].dofs[bad])
     assert (found.points[kept] == points[kept]).all()
+
+
+def test_approach_goes_round_invalid_elements():
+    """What is broken at the start stays so, near to where the way is cut short for others."""
+    domain = cube((2, 2, 2), (6, 5, 5), 0.0)
+    points = domain.points.copy()
+    points[np.argmin(np.linalg.norm(points - [0.2, 0.5, 0.5], axis=1))] += [0.5, 0.0, 0.0]
+    given = replace(domain, points=points)
+    bad = np.flatnonzero(certify(given).verdict <= 0)
+    wanted = points.copy()
+    wanted[np.argmin(np.linalg.norm(points - [0.9, 0.5, 0.5], axis=1))] -= [0.5, 0.0, 0.0]
+    assert len(np.flatnonzero(certify(replace(domain, points=wanted)).verdict <= 0)) > len(bad)
+    found = approach(given, wanted)
+    assert np.flatnonzero(certify(replace(domain, points=found.points)).verdict <= 0).tolist() == bad.tolist()
+    assert len(found.moved) == 1
 
 
 def test_constrained_coefficients_move_together():
