@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MAX_PIECES = 4096
+SHORT = 1.0 / 300.0
+"""Share of a curve below which a piece is short."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +167,9 @@ def surface_frame(surface: Patch, uv: Array) -> tuple[Array, Array, Array]:
     return frame[:, 0], frame[:, 1], frame[:, 2]
 
 
-def fit_curve(points: Callable[[Array], Array], tolerance: float, degree: int = 5, pieces: int = 1) -> Curve:
+def fit_curve(
+    points: Callable[[Array], Array], tolerance: float, degree: int = 5, breaks: Array | None = None, enough: float = 0.0
+) -> Curve:
     """Piecewise polynomial through points of a curve, halved until it is within a tolerance.
 
     Each piece interpolates at Chebyshev-Lobatto parameters, so pieces join without a gap, and is checked half way
@@ -174,7 +179,8 @@ def fit_curve(points: Callable[[Array], Array], tolerance: float, degree: int = 
     ----------
     points : function from parameters (q,) in [0, 1] to points (q, c).
     tolerance : largest distance at equal parameters.
-    pieces : equal pieces to begin with.
+    breaks : ends of the pieces to begin with, from 0 to 1; where the curve is less smooth.
+    enough : larger tolerance that short pieces may have, where halving does not help (corners, noise).
 
     Raises
     ------
@@ -185,7 +191,7 @@ def fit_curve(points: Callable[[Array], Array], tolerance: float, degree: int = 
     between = 0.5 * (1.0 - np.cos(np.pi * (k[:-1] + 0.5) / degree))
     to_bernstein = np.linalg.inv(_bernstein(degree, nodes))
     check = _bernstein(degree, between) @ to_bernstein
-    todo = [(i / pieces, (i + 1) / pieces) for i in range(pieces)]
+    todo = list(pairwise([0.0, 1.0] if breaks is None else breaks.tolist()))
     done: list[tuple[float, float, Array]] = []
     while todo:
         low = np.array([a for a, _ in todo])[:, None]
@@ -196,7 +202,7 @@ def fit_curve(points: Callable[[Array], Array], tolerance: float, degree: int = 
         error = np.linalg.norm(check @ x[:, : degree + 1] - x[:, degree + 1 :], axis=-1).max(axis=1)
         again = []
         for i, (a, b) in enumerate(todo):
-            if error[i] <= tolerance:
+            if error[i] <= tolerance or (error[i] <= enough and b - a < SHORT):
                 control = to_bernstein @ x[i, : degree + 1]
                 control[0], control[-1] = x[i, 0], x[i, degree]
                 done.append((a, b, control))

@@ -27,8 +27,9 @@ from iga.errors import FormatError, InputError
 
 Array = NDArray[np.float64]
 
-FIT = 1e-9
-"""Tolerance of fitted curves, relative to the diagonal of the solid (in space) or of the face (in its plane)."""
+FIT, ENOUGH, DEGREE = 1e-12, 1e-9, 9
+"""Tolerance of fitted curves, relative to the diagonal of the solid (in space) or of the face (in its plane), what is
+enough where a curve is not smooth, and their degree."""
 CARRIED = 1e-7
 """Largest relative distance by which carrying a curve to the NURBS parameter may move its points."""
 _ARC_U = ("Cylinder", "Cone", "Sphere", "Torus", "SurfaceOfRevolution")
@@ -182,14 +183,17 @@ def _edge(edge: Any, ends: tuple[int, ...], vertices: Array, diagonal: float, wh
     def points(t: Array) -> Array:
         return np.array([_xyz(found.Value(s)) for s in (first + (last - first) * t).tolist()])
 
-    return Edge(fit_curve(points, FIT * diagonal, pieces=_pieces(found, first, last)), (ends[0], ends[1]), tolerance,
-                False)
+    curve = fit_curve(points, FIT * diagonal, DEGREE, _breaks(found, first, last), ENOUGH * diagonal)
+    return Edge(curve, (ends[0], ends[1]), tolerance, False)
 
 
-def _pieces(curve: Any, first: float, last: float) -> int:
-    """Pieces to begin with: as many as a spline has intervals, up to 16."""
-    knots = getattr(curve, "NbKnots", None)
-    return max(1, min(16, knots() - 1)) if knots else 1
+def _breaks(curve: Any, first: float, last: float) -> Array:
+    """Knots of a spline curve between two parameters, as shares of the way."""
+    while hasattr(curve, "BasisCurve"):
+        curve = curve.BasisCurve()
+    knots = [curve.Knot(i + 1) for i in range(curve.NbKnots())] if hasattr(curve, "NbKnots") else []
+    t = (np.array(knots) - first) / (last - first)
+    return np.concatenate([[0.0], t[(t > 1e-9) & (t < 1.0 - 1e-9)], [1.0]])
 
 
 def _face(
@@ -248,7 +252,9 @@ def _coedge(
     off = float(np.linalg.norm(surface_points(surface, carry(uv)) - there, axis=1).max())
     if off > CARRIED * diagonal:
         raise InputError(f"{where}: its surface moves by {off:.1e} when it is turned into a B-spline surface")
-    curve = fit_curve(lambda t: carry(plane_points(t)), FIT * scale, pieces=_pieces(found, first, last))
+    curve = fit_curve(
+        lambda t: carry(plane_points(t)), FIT * scale, DEGREE, _breaks(found, first, last), ENOUGH * scale
+    )
     return Coedge(number, edge.Orientation() == TopAbs_Orientation.TopAbs_REVERSED, curve)
 
 
