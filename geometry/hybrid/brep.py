@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MAX_PIECES = 4096
+OFF = 5e-4
+"""Largest distance, relative to the diagonal, of an edge from its faces."""
 SHORT = 1.0 / 300.0
 """Share of a curve below which a piece is short."""
 
@@ -168,8 +170,9 @@ def surface_frame(surface: Patch, uv: Array) -> tuple[Array, Array, Array]:
 
 
 def fit_curve(
-    points: Callable[[Array], Array], tolerance: float, degree: int = 5, breaks: Array | None = None, enough: float = 0.0
-) -> Curve:
+    points: Callable[[Array], Array], tolerance: float, degree: int = 5, breaks: Array | None = None,
+    enough: float = 0.0,
+) -> Curve:  # fmt: skip
     """Piecewise polynomial through points of a curve, halved until it is within a tolerance.
 
     Each piece interpolates at Chebyshev-Lobatto parameters, so pieces join without a gap, and is checked half way
@@ -235,7 +238,7 @@ def sealing_gap(brep: Brep, samples: int = 9) -> Array:
 
 
 def check_brep(brep: Brep, where: str) -> None:
-    """Refuse a boundary that is not closed, or whose loops have gaps.
+    """Refuse a boundary that is not closed, whose loops have gaps, or whose edges lie off their faces.
 
     Raises
     ------
@@ -261,3 +264,11 @@ def check_brep(brep: Brep, where: str) -> None:
             for (_, end), (start, _) in zip(ends, ends[1:] + ends[:1]):
                 if np.abs(end - start).max() > 1e-3 * scale:
                     raise InputError(f"{where}: {face.name} has a loop with a gap at (u, v) = {end.round(6).tolist()}")
+    gap = sealing_gap(brep)
+    worst = int(gap.argmax()) if len(gap) else 0
+    if len(gap) and gap[worst] > OFF * brep.diagonal:
+        names = " and ".join(brep.faces[f].name for f, _, _ in brep.coedges_of[worst])
+        raise InputError(
+            f"{where}: edge {worst} lies {gap[worst]:.2g} off {names}, {gap[worst] / brep.diagonal:.1e} of the "
+            f"diagonal where {OFF:g} is allowed"
+        )

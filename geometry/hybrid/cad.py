@@ -73,7 +73,8 @@ def read_cad(path: str | Path, solid: int | None = None) -> Brep:
     shape, label = _read_step(path) if kind == "STEP" else _read_iges(path)
     solids = _explore(shape, "SOLID")
     if not solids:
-        raise InputError(f"{path}: there is no closed solid in it, only {len(_explore(shape, 'FACE'))} faces")
+        faces = len(_explore(shape, "FACE"))
+        raise InputError(f"{path}: there is no closed solid in it, only {faces} faces{_open(shape)}")
     if solid is None and len(solids) > 1:
         named = ", ".join(f"{i} {label(s)[0]}".strip() for i, s in enumerate(solids))
         raise InputError(f"{path}: {len(solids)} solids ({named[:160]}); say which with solid=0 .. {len(solids) - 1}")
@@ -81,6 +82,25 @@ def read_cad(path: str | Path, solid: int | None = None) -> Brep:
     if not 0 <= number < len(solids):
         raise InputError(f"{path}: there is no solid {number}; it has {len(solids)}, counted from 0")
     return brep_of(solids[number], path.name, label)
+
+
+def _open(shape: Any) -> str:
+    """Where a shell is open: its first edge that one face alone has."""
+    seen: dict[int, list[tuple[int, Any]]] = {}
+    for number, face in enumerate(_explore(shape, "FACE")):
+        for edge in _explore(face, "EDGE"):
+            seen.setdefault(_key(edge), []).append((number, edge))
+    for uses in seen.values():
+        if len(uses) == 1:
+            from OCP.BRep import BRep_Tool
+            from OCP.TopoDS import TopoDS
+
+            number, edge = uses[0]
+            if not BRep_Tool.Degenerated_s(TopoDS.Edge(edge)):
+                ends = [_xyz(BRep_Tool.Pnt_s(TopoDS.Vertex(v))) for v in _explore(edge, "VERTEX")]
+                where = " - ".join("({:.6g}, {:.6g}, {:.6g})".format(*p) for p in ends)
+                return f"; the shell is open at the edge {where} of face_{number}"
+    return ""
 
 
 Label = Callable[[Any], tuple[str, str]]
@@ -106,6 +126,8 @@ def brep_of(shape: Any, where: str, label: Label | None = None) -> Brep:
     before = _explore(shape, "FACE")
     if not BRepCheck_Analyzer(shape).IsValid():
         bad = [i for i, f in enumerate(before) if not BRepCheck_Analyzer(f).IsValid()]
+        for i in bad:
+            _require_plane_curves(before[i], f"{where}: face_{i}")
         what = f"face_{bad[0]} is not valid (loops that cross or do not close)" if bad else "the solid is not valid"
         raise InputError(f"{where}: {what}; heal it in the CAD system")
     divide = ShapeUpgrade_ShapeDivideClosed(shape)
@@ -125,6 +147,15 @@ def brep_of(shape: Any, where: str, label: Label | None = None) -> Brep:
     brep = _arrays(divided, where, names, colours, label(shape)[0] if label else "", volume, area)
     check_brep(brep, where)
     return brep
+
+
+def _require_plane_curves(face: Any, where: str) -> None:
+    from OCP.BRep import BRep_Tool
+    from OCP.TopoDS import TopoDS
+
+    for number, edge in enumerate(_explore(face, "EDGE")):
+        if BRep_Tool.CurveOnSurface_s(TopoDS.Edge(edge), TopoDS.Face(face), 0.0, 1.0, None) is None:
+            raise InputError(f"{where}: its edge {number} has no curve in the parameter plane; heal it in the CAD")
 
 
 def _key(shape: Any) -> int:

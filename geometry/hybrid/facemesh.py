@@ -200,7 +200,18 @@ def _mesh_face(
     if made:
         triangles = np.concatenate(made)
     own = np.concatenate([outline.vertices, count + np.arange(len(rest) - placed)])
+    _require_outline(number, outline, triangles, nodes, where)
     return FaceMesh(chart, rest, own, triangles, nodes, low, high, grid)
+
+
+def _require_outline(number: int, outline: _Outline, triangles: Index, quads: Index, where: str) -> None:
+    """The sides that belong to one element are the pieces of the edges, no more and no less."""
+    sides = Counter(
+        (a, b) for own in (triangles, quads) for ring in own.tolist() for a, b in zip(ring, [*ring[1:], ring[0]])
+    )
+    open_ = {pair for pair in sides if pair[::-1] not in sides}
+    if open_ != set(outline.leaving) or (sides and max(sides.values()) > 1):
+        raise FaceError(number, f"{where}: its elements do not end at its edges")
 
 
 def _cut_out(face: Face, uv: Array, nodes: Index, leaving: Sides) -> Sides:

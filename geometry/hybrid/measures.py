@@ -35,10 +35,13 @@ _AROUND = {
 
 @dataclass(frozen=True, eq=False)
 class Finer:
-    """Where elements must be smaller: places and sizes, and the largest cell of some faces' grids."""
+    """Where elements must be smaller: places and sizes, and the largest cell of some faces' grids; faces that fold or
+    are cut.
+    """
 
     sizing: Sizing
     cells: dict[int, float]
+    faulty: set[int]
 
 
 def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: float) -> tuple[dict[str, Any], Finer]:
@@ -105,7 +108,7 @@ def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: floa
             here = np.arange(start[n], start[n + 1])
             for e in here[some[here]].tolist():
                 cells[int(owner[e])] = min(cells.get(int(owner[e]), np.inf), float(wanted[e]))
-    return report, Finer(Sizing(centre[some], wanted[some]), cells)
+    return report, Finer(Sizing(centre[some], wanted[some]), cells, set(owner[bad].tolist()))
 
 
 def _halves(part: Part) -> list[tuple[int, int]]:

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from geometry.hybrid.assembling import assemble
 from geometry.hybrid.brep import Brep
 from geometry.hybrid.chart import make_chart
+from geometry.hybrid.cusps import refuse_cusps
 from geometry.hybrid.facemesh import FaceError, mesh_faces
 from geometry.hybrid.grid import agree, is_flat, make_grid
 from geometry.hybrid.measures import measure
@@ -94,19 +95,22 @@ def build_skin(
     The skin; its report holds ``elements``, ``quadrilaterals``, ``max_distance`` and ``exact_area_share`` (elements
     within 1e-12 of the diagonal), ``band_area``, ``watertight_gap``, ``worst_face``, ``volume``, ``volume_error``,
     ``crossings``, ``min_quality``, ``folded``, ``faulty_faces`` if there are any, and
-    ``cad_faces_with_quadrilaterals``: for each its knot intervals, areas and distance outside the band.
+    ``cad_faces_with_quadrilaterals``: for each its knot intervals, areas and distance outside the band, and
+    ``cad_faces_without_quadrilaterals``: for each that is not flat why.
 
     Raises
     ------
-    InputError : a face cannot be meshed, by name.
+    InputError : a face has a cusp, or cannot be meshed, by name.
     """
     if not (0.0 < size <= 1.0 and 1e-10 <= tolerance <= 0.1):
         raise InputError(f"{where or brep.name}: size must lie in (0, 1] and tolerance in [1e-10, 0.1]")
     where = where or brep.name or "solid"
+    refuse_cusps(brep, where)
     sizing, wanted = size_edges(brep, size)
     charts = [make_chart(face) for face in brep.faces]
     flat = np.array([is_flat(face.surface) for face in brep.faces])
     cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), size * brep.diagonal) if quads else {}
+    without: dict[int, str] = {}
     least = least_pieces(brep)
     best: tuple[float, Skin] | None = None
     stuck = 0
@@ -120,6 +124,7 @@ def build_skin(
         except FaceError as error:
             if error.face in cells:
                 del cells[error.face]  # triangles alone before anything else
+                without[error.face] = str(error)
             else:
                 for loop in brep.faces[error.face].loops:
                     for c in loop:
@@ -132,6 +137,10 @@ def build_skin(
         failed = None
         made = assemble(brep, edges, meshes, flat)
         report, finer = measure(brep, made, meshes, tolerance)
+        none = {f: "no cell fits between its curves" for f in cells if not len(meshes[f].quads)}
+        report["cad_faces_without_quadrilaterals"] = {
+            brep.faces[f].name: why for f, why in sorted({**none, **without}.items())
+        }
         skin = Skin(
             made.space, made.points, made.vertices, tuple(part.owner for part in made.parts),
             tuple(face.name for face in brep.faces), made.curves, True, report,
@@ -142,7 +151,9 @@ def build_skin(
             best = (badness, skin)
         if len(finer.sizing.points) == 0 or stuck == PATIENCE:
             break
-        cells = {f: min(most, finer.cells.get(f, most)) for f, most in cells.items()}
+        if stuck or best[0] < badness:  # what folds or is cut although elements were made smaller goes without
+            without.update(dict.fromkeys(finer.faulty & set(cells), "its quadrilaterals fold or are cut"))
+        cells = {f: min(most, finer.cells.get(f, most)) for f, most in cells.items() if f not in without}
         sizing = Sizing(
             np.concatenate([sizing.points, finer.sizing.points]), np.concatenate([sizing.size, finer.sizing.size])
         )

@@ -109,7 +109,7 @@ def _built(brep: Brep, settings: Settings, source: str, shown: Progress) -> tupl
     skin = build_skin(brep, settings.size, settings.tolerance, source, shown, settings.skin == "hybrid")
     if skin.report.get("crossings") or skin.report.get("folded"):
         raise InputError(
-            f"{source}: the skin cuts through itself or folds near {skin.report.get('worst_face', 'a face')} "
+            f"{source}: the skin cuts through itself or folds on {', '.join(skin.report.get('faulty_faces', ()))} "
             f"({skin.report.get('crossings', 0)} crossings, {skin.report.get('folded', 0)} folds); try a smaller size"
         )
     made = perf_counter()

@@ -428,7 +428,8 @@ def _smoothed(
         np.add.at(total, triangles[:, c], area[:, None] * q[triangles].mean(axis=1))
         np.add.at(weight, triangles[:, c], area)
     proposed = q.copy()
-    proposed[fixed:] = total[fixed:] / weight[fixed:, None]
+    around = fixed + np.flatnonzero(weight[fixed:] > 0.0)
+    proposed[around] = total[around] / weight[around, None]
     x_new = x.copy()
     x_new[fixed:], normal_new = frame(proposed[fixed:])
     order = np.argsort(triangles.ravel(), kind="stable")

@@ -19,7 +19,7 @@ from geometry.hybrid.brep import (
     surface_frame,
     surface_points,
 )
-from geometry.hybrid.cad import brep_of, cad_format
+from geometry.hybrid.cad import cad_format
 from iga.errors import FormatError, InputError
 
 
@@ -107,10 +107,6 @@ def test_shapes_are_closed(name: str, faces: int) -> None:
 
 
 def test_files_that_are_refused(tmp_path: Path) -> None:
-    from OCP.BRep import BRep_Builder
-    from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox
-    from OCP.TopoDS import TopoDS_Compound
-
     cases = {
         "text.step": (b"hello", "not a CAD file"),
         "empty.step": (b"", "not a CAD file"),
@@ -123,29 +119,6 @@ def test_files_that_are_refused(tmp_path: Path) -> None:
             read_cad(tmp_path / name)
     with pytest.raises(FormatError, match="no such file"):
         read_cad(tmp_path / "nothing.step")
-    pair, builder = TopoDS_Compound(), BRep_Builder()
-    builder.MakeCompound(pair)
-    for size in (1.0, 2.0):
-        builder.Add(pair, BRepPrimAPI_MakeBox(size, size, size).Shape())
-    path = write_step(pair, tmp_path / "pair.step")
-    with pytest.raises(InputError, match="2 solids"):
-        read_cad(path)
-    with pytest.raises(InputError, match="no solid 2"):
-        read_cad(path, 2)
-    assert sorted(read_cad(path, i).volume for i in (0, 1)) == pytest.approx([1, 8])
-
-
-def test_open_shell_is_refused(tmp_path: Path) -> None:
-    from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox
-
-    from geometry.hybrid.cad import _explore
-
-    box = BRepPrimAPI_MakeBox(1.0, 1.0, 1.0).Shape()
-    face = _explore(box, "FACE")[0]
-    with pytest.raises(InputError, match="no closed solid"):
-        read_cad(write_step(face, tmp_path / "face.step"))
-    with pytest.raises(InputError, match=r"edge 0 has 1 faces \(face_0\)"):
-        brep_of(face, "face")
 
 
 def test_iges_is_sewn(tmp_path: Path) -> None:
