@@ -1,6 +1,6 @@
 r"""STEP and IGES files, and Open CASCADE shapes, to `Brep`.
 
-This module alone (with `shapes`, which makes solids in code) touches Open CASCADE, and imports it when first used.
+`kernel` and `shapes`, which makes solids in code, touch Open CASCADE as well; it is imported when first used.
 
 Closed faces are split at their seams, and every surface is turned into a B-spline or NURBS surface. Surfaces with an
 angle for a parameter become rational quadratics, whose parameter t of an arc of half-angle a about the angle m is
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.hybrid.brep import Brep, Coedge, Curve, Edge, Face, check_brep, fit_curve, surface_points
+from geometry.hybrid.kernel import Label, explore, key_of, measures, read_iges, read_step, where_open, xyz
 from geometry.patch import Patch, make_patch
 from iga.errors import FormatError, InputError
 
@@ -70,11 +71,11 @@ def read_cad(path: str | Path, solid: int | None = None) -> Brep:
     kind = cad_format(path)
     if not kind:
         raise FormatError(f"{path}: this is not a CAD file; STEP begins with ISO-10303-21;, IGES with a start section")
-    shape, label = _read_step(path) if kind == "STEP" else _read_iges(path)
-    solids = _explore(shape, "SOLID")
+    shape, label = read_step(path) if kind == "STEP" else read_iges(path)
+    solids = explore(shape, "SOLID")
     if not solids:
-        faces = len(_explore(shape, "FACE"))
-        raise InputError(f"{path}: there is no closed solid in it, only {faces} faces{_open(shape)}")
+        faces = len(explore(shape, "FACE"))
+        raise InputError(f"{path}: there is no closed solid in it, only {faces} faces{where_open(shape)}")
     if solid is None and len(solids) > 1:
         named = ", ".join(f"{i} {label(s)[0]}".strip() for i, s in enumerate(solids))
         raise InputError(f"{path}: {len(solids)} solids ({named[:160]}); say which with solid=0 .. {len(solids) - 1}")
@@ -82,29 +83,6 @@ def read_cad(path: str | Path, solid: int | None = None) -> Brep:
     if not 0 <= number < len(solids):
         raise InputError(f"{path}: there is no solid {number}; it has {len(solids)}, counted from 0")
     return brep_of(solids[number], path.name, label)
-
-
-def _open(shape: Any) -> str:
-    """Where a shell is open: its first edge that one face alone has."""
-    seen: dict[int, list[tuple[int, Any]]] = {}
-    for number, face in enumerate(_explore(shape, "FACE")):
-        for edge in _explore(face, "EDGE"):
-            seen.setdefault(_key(edge), []).append((number, edge))
-    for uses in seen.values():
-        if len(uses) == 1:
-            from OCP.BRep import BRep_Tool
-            from OCP.TopoDS import TopoDS
-
-            number, edge = uses[0]
-            if not BRep_Tool.Degenerated_s(TopoDS.Edge(edge)):
-                ends = [_xyz(BRep_Tool.Pnt_s(TopoDS.Vertex(v))) for v in _explore(edge, "VERTEX")]
-                where = " - ".join("({:.6g}, {:.6g}, {:.6g})".format(*p) for p in ends)
-                return f"; the shell is open at the edge {where} of face_{number}"
-    return ""
-
-
-Label = Callable[[Any], tuple[str, str]]
-"""Name and colour of a face or solid."""
 
 
 def brep_of(shape: Any, where: str, label: Label | None = None) -> Brep:
@@ -123,7 +101,7 @@ def brep_of(shape: Any, where: str, label: Label | None = None) -> Brep:
     from OCP.BRepCheck import BRepCheck_Analyzer
     from OCP.ShapeUpgrade import ShapeUpgrade_ShapeDivideClosed
 
-    before = _explore(shape, "FACE")
+    before = explore(shape, "FACE")
     if not BRepCheck_Analyzer(shape).IsValid():
         bad = [i for i, f in enumerate(before) if not BRepCheck_Analyzer(f).IsValid()]
         for i in bad:
@@ -139,11 +117,11 @@ def brep_of(shape: Any, where: str, label: Label | None = None) -> Brep:
     if len({name for name, _ in labels}) == 1:  # a name that all faces share is the solid's, or a default
         labels = [("", colour) for _, colour in labels]
     for i, (face, (name, colour)) in enumerate(zip(before, labels)):
-        pieces = [face] if divided is shape else _explore(divide.GetContext().Apply(face), "FACE")
+        pieces = [face] if divided is shape else explore(divide.GetContext().Apply(face), "FACE")
         for piece in pieces:
-            names[_key(piece)] = name or f"face_{i}"
-            colours[_key(piece)] = colour
-    volume, area = _measures(shape)
+            names[key_of(piece)] = name or f"face_{i}"
+            colours[key_of(piece)] = colour
+    volume, area = measures(shape)
     brep = _arrays(divided, where, names, colours, label(shape)[0] if label else "", volume, area)
     check_brep(brep, where)
     return brep
@@ -153,19 +131,9 @@ def _require_plane_curves(face: Any, where: str) -> None:
     from OCP.BRep import BRep_Tool
     from OCP.TopoDS import TopoDS
 
-    for number, edge in enumerate(_explore(face, "EDGE")):
+    for number, edge in enumerate(explore(face, "EDGE")):
         if BRep_Tool.CurveOnSurface_s(TopoDS.Edge(edge), TopoDS.Face(face), 0.0, 1.0, None) is None:
             raise InputError(f"{where}: its edge {number} has no curve in the parameter plane; heal it in the CAD")
-
-
-def _key(shape: Any) -> int:
-    return hash(shape.Located(type(shape.Location())()).Oriented(_forward()))
-
-
-def _forward() -> Any:
-    from OCP.TopAbs import TopAbs_Orientation
-
-    return TopAbs_Orientation.TopAbs_FORWARD
 
 
 def _arrays(
@@ -180,7 +148,7 @@ def _arrays(
     vertex_map, edge_map = ShapeMap(), ShapeMap()
     TopExp.MapShapes_s(shape, TopAbs_ShapeEnum.TopAbs_VERTEX, vertex_map)
     TopExp.MapShapes_s(shape, TopAbs_ShapeEnum.TopAbs_EDGE, edge_map)
-    vertices = np.array([_xyz(BRep_Tool.Pnt_s(TopoDS.Vertex(vertex_map.FindKey(i + 1))))
+    vertices = np.array([xyz(BRep_Tool.Pnt_s(TopoDS.Vertex(vertex_map.FindKey(i + 1))))
                          for i in range(vertex_map.Extent())]).reshape(-1, 3)
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0))) or 1.0
     edges = []
@@ -191,9 +159,9 @@ def _arrays(
             raise InputError(f"{where}: edge {i} has no vertex at an end")
         edges.append(_edge(edge, ends, vertices, diagonal, f"{where}: edge {i}"))
     faces = []
-    for i, found in enumerate(_explore(shape, "FACE")):
+    for i, found in enumerate(explore(shape, "FACE")):
         face = TopoDS.Face(found)
-        key = _key(face)
+        key = key_of(face)
         place = names.get(key, f"face_{i}")
         faces.append(_face(face, edge_map, edges, place, colours.get(key, ""), diagonal, f"{where}: {place}"))
     return Brep(vertices, tuple(edges), tuple(faces), name, volume, area)
@@ -212,7 +180,7 @@ def _edge(edge: Any, ends: tuple[int, ...], vertices: Array, diagonal: float, wh
         raise InputError(f"{where} has no curve in space")
 
     def points(t: Array) -> Array:
-        return np.array([_xyz(found.Value(s)) for s in (first + (last - first) * t).tolist()])
+        return np.array([xyz(found.Value(s)) for s in (first + (last - first) * t).tolist()])
 
     curve = fit_curve(points, FIT * diagonal, DEGREE, _breaks(found, first, last), ENOUGH * diagonal)
     return Edge(curve, (ends[0], ends[1]), tolerance, False)
@@ -245,7 +213,7 @@ def _face(
     scale = max(bounds[1] - bounds[0], bounds[3] - bounds[2])
     outer = BRepTools.OuterWire_s(forward)
     loops: list[tuple[Coedge, ...]] = []
-    for wire in _explore(forward, "WIRE"):
+    for wire in explore(forward, "WIRE"):
         loop = []
         walk = BRepTools_WireExplorer(TopoDS.Wire(wire), forward)
         while walk.More():
@@ -253,7 +221,7 @@ def _face(
             number = edge_map.FindIndex(edge) - 1
             loop.append(_coedge(edge, number, forward, original, surface, carry, scale, diagonal, where))
             walk.Next()
-        if len(loop) < len(_explore(wire, "EDGE")):
+        if len(loop) < len(explore(wire, "EDGE")):
             raise InputError(f"{where} has a loop that cannot be walked around: its edges do not join")
         loops.insert(0, tuple(loop)) if wire.IsSame(outer) else loops.append(tuple(loop))
     if not loops:
@@ -279,7 +247,7 @@ def _coedge(
 
     t = np.linspace(0.0, 1.0, 7)
     uv = plane_points(t)
-    there = np.array([_xyz(original.Value(u, v)) for u, v in uv.tolist()])
+    there = np.array([xyz(original.Value(u, v)) for u, v in uv.tolist()])
     off = float(np.linalg.norm(surface_points(surface, carry(uv)) - there, axis=1).max())
     if off > CARRIED * diagonal:
         raise InputError(f"{where}: its surface moves by {off:.1e} when it is turned into a B-spline surface")
@@ -298,7 +266,7 @@ def _surface(
 
     u0, u1, v0, v1 = bounds
     if kind == "Plane":
-        corners = np.array([[_xyz(original.Value(u, v)) for v in (v0, v1)] for u in (u0, u1)])
+        corners = np.array([[xyz(original.Value(u, v)) for v in (v0, v1)] for u in (u0, u1)])
         return Patch((np.repeat([u0, u1], 2), np.repeat([v0, v1], 2)), corners), lambda uv: uv
     # A range that is a period up to rounding crashes the conversion: make it the period.
     if original.IsUPeriodic() and abs(u1 - u0 - original.UPeriod()) < 1e-6:
@@ -356,110 +324,9 @@ def _patch(made: Any, where: str) -> Patch:
     ):  # fmt: skip
         knots.append(np.repeat([knot(i + 1) for i in range(count)], [many(i + 1) for i in range(count)]))
     shape = (made.NbUPoles(), made.NbVPoles())
-    control = np.array([[_xyz(made.Pole(i + 1, j + 1)) for j in range(shape[1])] for i in range(shape[0])])
+    control = np.array([[xyz(made.Pole(i + 1, j + 1)) for j in range(shape[1])] for i in range(shape[0])])
     weights = None
     if made.IsURational() or made.IsVRational():
         # One by one: the array that Weights() returns is freed twice in some versions of the bindings.
         weights = np.array([[made.Weight(i + 1, j + 1) for j in range(shape[1])] for i in range(shape[0])])
     return make_patch(knots, control, weights, where)
-
-
-def _xyz(p: Any) -> tuple[float, float, float]:
-    return p.X(), p.Y(), p.Z()
-
-
-def _explore(shape: Any, what: str) -> list[Any]:
-    """Parts of a shape, each once, in the kernel's order."""
-    from OCP.collections import IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher as ShapeMap
-    from OCP.TopAbs import TopAbs_ShapeEnum
-    from OCP.TopExp import TopExp
-
-    found = ShapeMap()
-    TopExp.MapShapes_s(shape, getattr(TopAbs_ShapeEnum, f"TopAbs_{what}"), found)
-    return [found.FindKey(i + 1) for i in range(found.Extent())]
-
-
-def _measures(shape: Any) -> tuple[float, float]:
-    """Volume and area; the kernel's plain call without a tolerance may be wrong by a percent."""
-    from OCP.BRepGProp import BRepGProp
-    from OCP.GProp import GProp_GProps
-
-    volume, area = GProp_GProps(), GProp_GProps()
-    BRepGProp.VolumeProperties_s(shape, volume, 1e-7)
-    BRepGProp.SurfaceProperties_s(shape, area, 1e-7)
-    return float(volume.Mass()), float(area.Mass())
-
-
-def _quiet() -> None:
-    from OCP.Message import Message, Message_Gravity
-
-    for printer in Message.DefaultMessenger_s().Printers():
-        printer.SetTraceLevel(Message_Gravity.Message_Fail)
-
-
-def _read_step(path: Path) -> tuple[Any, Label]:
-    from OCP.IFSelect import IFSelect_ReturnStatus
-    from OCP.Quantity import Quantity_Color
-    from OCP.STEPCAFControl import STEPCAFControl_Reader
-    from OCP.TCollection import TCollection_ExtendedString
-    from OCP.TDocStd import TDocStd_Document
-    from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool
-
-    _quiet()
-    document = TDocStd_Document(TCollection_ExtendedString("BinXCAF"))
-    reader = STEPCAFControl_Reader()
-    reader.SetColorMode(True)
-    try:
-        read = reader.ReadFile(str(path)) == IFSelect_ReturnStatus.IFSelect_RetDone and reader.Transfer(document)
-    except Exception as error:  # whatever the kernel throws at bytes it cannot read
-        raise FormatError(f"{path}: Open CASCADE cannot read this STEP file: {str(error).splitlines()[0]}") from error
-    shape = reader.Reader().OneShape() if read else None
-    if shape is None or shape.IsNull():
-        raise FormatError(f"{path}: Open CASCADE finds no shape in this STEP file")
-    transfer = reader.Reader().WS().TransferReader()
-    tool = XCAFDoc_DocumentTool.ColorTool_s(document.Main())
-
-    def read_label(part: Any) -> tuple[str, str]:
-        entity = transfer.EntityFromShapeResult(part, 1)
-        text = entity.Name() if entity is not None and hasattr(entity, "Name") else None
-        name = text.ToCString().strip() if text is not None else ""
-        colour = Quantity_Color()
-        kinds = (XCAFDoc_ColorType.XCAFDoc_ColorSurf, XCAFDoc_ColorType.XCAFDoc_ColorGen)
-        code = ""
-        if any(tool.GetColor(part, kind, colour) for kind in kinds):
-            levels = [round(255 * c) for c in (colour.Red(), colour.Green(), colour.Blue())]
-            code = "#{:02x}{:02x}{:02x}".format(*levels)
-        return ("" if name.upper() in ("NONE", "UNKNOWN") else name), code
-
-    # Read now: the document and its tables go when this function returns.
-    parts = [*_explore(shape, "SOLID"), *_explore(shape, "FACE")]
-    labels = {_key(part): read_label(part) for part in parts}
-    return shape, lambda part: labels.get(_key(part), ("", ""))
-
-
-def _read_iges(path: Path) -> tuple[Any, Label]:
-    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeSolid, BRepBuilderAPI_Sewing
-    from OCP.IFSelect import IFSelect_ReturnStatus
-    from OCP.IGESControl import IGESControl_Reader
-    from OCP.TopoDS import TopoDS
-
-    _quiet()
-    reader = IGESControl_Reader()
-    try:
-        read = reader.ReadFile(str(path)) == IFSelect_ReturnStatus.IFSelect_RetDone
-        if read:
-            reader.TransferRoots()
-            shape = reader.OneShape()
-    except Exception as error:
-        raise FormatError(f"{path}: Open CASCADE cannot read this IGES file: {str(error).splitlines()[0]}") from error
-    if not read or shape.IsNull():
-        raise FormatError(f"{path}: Open CASCADE finds no shape in this IGES file")
-    if not _explore(shape, "SOLID"):
-        # IGES mostly holds loose faces: sew them.
-        sewing = BRepBuilderAPI_Sewing(1e-4)
-        sewing.Add(shape)
-        sewing.Perform()
-        shells = [s for s in _explore(sewing.SewedShape(), "SHELL") if s.Closed()]
-        if len(shells) == 1:
-            shape = BRepBuilderAPI_MakeSolid(TopoDS.Shell(shells[0])).Solid()
-    return shape, lambda part: ("", "")

@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from geometry.hybrid.ears import bridged, cut_ears, ear_quality, turn
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -42,128 +43,6 @@ class Triangulation:
 
     vertices: Array
     triangles: Index
-
-
-@njit(cache=True)
-def _turn(p: Any, a: Any, b: Any, c: Any) -> Any:
-    return (p[b, 0] - p[a, 0]) * (p[c, 1] - p[a, 1]) - (p[b, 1] - p[a, 1]) * (p[c, 0] - p[a, 0])
-
-
-@njit(cache=True)
-def _crosses(p: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-    """Whether segments ab and cd, which share no end, meet."""
-    return (_turn(p, a, b, c) > 0.0) != (_turn(p, a, b, d) > 0.0) and (
-        (_turn(p, c, d, a) > 0.0) != (_turn(p, c, d, b) > 0.0)
-    )
-
-
-@njit(cache=True)
-def _visible(p: Any, a: Any, b: Any, starts: Any, ends: Any) -> Any:
-    for i in range(len(starts)):
-        c, d = starts[i], ends[i]
-        if c in (a, b) or d in (a, b):
-            continue
-        if _crosses(p, a, b, c, d):
-            return False
-    return True
-
-
-@njit(cache=True)
-def _self_crossing(p: Any, starts: Any, ends: Any) -> Any:
-    """Number of the first segment that crosses another, or -1."""
-    for i in range(len(starts)):
-        for j in range(i + 1, len(starts)):
-            a, b, c, d = starts[i], ends[i], starts[j], ends[j]
-            if a != c and a != d and b != c and b != d and _crosses(p, a, b, c, d):
-                return i
-    return -1
-
-
-@njit(cache=True)
-def _in_wedge(p: Any, before: Any, at: Any, after: Any, x: Any) -> Any:
-    """Whether x is seen from a ring vertex on the inside (left of the ring)."""
-    if _turn(p, before, at, after) >= 0.0:
-        return _turn(p, before, at, x) > 0.0 and _turn(p, at, after, x) > 0.0
-    return _turn(p, before, at, x) > 0.0 or _turn(p, at, after, x) > 0.0
-
-
-@njit(cache=True)
-def _ear_quality(p: Any, a: Any, b: Any, c: Any) -> Any:
-    s = 0.0
-    for d in range(2):
-        s += (p[a, d] - p[b, d]) ** 2 + (p[b, d] - p[c, d]) ** 2 + (p[c, d] - p[a, d]) ** 2
-    return 2.0 * np.sqrt(3.0) * _turn(p, a, b, c) / s
-
-
-@njit(cache=True)
-def _cut_ears(p: Any, ring: Any) -> Any:
-    """Triangles of a simple ring, best ear first; fewer than expected if it is not simple."""
-    n = len(ring)
-    left = ring.copy()
-    out = np.empty((n - 2, 3), dtype=np.int64)
-    made = 0
-    while n > 3:
-        best, chosen = -1.0, -1
-        for i in range(n):
-            a, b, c = left[(i - 1) % n], left[i], left[(i + 1) % n]
-            if _turn(p, a, b, c) <= 0.0:
-                continue
-            quality = _ear_quality(p, a, b, c)
-            if quality <= best:
-                continue
-            empty = True
-            for j in range(n):
-                v = left[j]
-                if v in (a, b, c):
-                    continue
-                if _turn(p, a, b, v) >= 0.0 and _turn(p, b, c, v) >= 0.0 and _turn(p, c, a, v) >= 0.0:
-                    empty = False
-                    break
-            if empty:
-                best, chosen = quality, i
-        if chosen < 0:
-            return out[:made]
-        out[made, 0], out[made, 1], out[made, 2] = left[(chosen - 1) % n], left[chosen], left[(chosen + 1) % n]
-        made += 1
-        left[chosen : n - 1] = left[chosen + 1 : n].copy()
-        n -= 1
-    out[made, 0], out[made, 1], out[made, 2] = left[0], left[1], left[2]
-    return out[: made + 1]
-
-
-def _bridged(p: Array, loops: list[Index], where: str) -> Index:
-    """One ring of all loops, joined by shortest visible bridges."""
-    starts = np.concatenate(loops)
-    ends = np.concatenate([np.roll(loop, -1) for loop in loops])
-    bad = _self_crossing(p, starts, ends)
-    if bad >= 0:
-        raise InputError(f"{where}: the polygon of its loops crosses itself at vertex {int(starts[bad])}")
-    ring = loops[0]
-    rest = list(loops[1:])
-    while rest:
-        best: tuple[float, int, int, int] | None = None
-        for number, hole in enumerate(rest):
-            apart = np.linalg.norm(p[ring][:, None] - p[hole][None], axis=-1)
-            for flat in np.argsort(apart, axis=None):
-                i, j = divmod(int(flat), len(hole))
-                if best is not None and apart[i, j] >= best[0]:
-                    break
-                a, b = int(ring[i]), int(hole[j])
-                if (
-                    _in_wedge(p, ring[i - 1], a, ring[(i + 1) % len(ring)], b)
-                    and _in_wedge(p, hole[j - 1], b, hole[(j + 1) % len(hole)], a)
-                    and _visible(p, a, b, starts, ends)
-                ):
-                    best = (float(apart[i, j]), number, i, j)
-                    break
-        if best is None:
-            raise InputError(f"{where}: an inner loop is not inside the outer one")
-        _, number, i, j = best
-        hole = np.roll(rest.pop(number), -j)
-        starts = np.append(starts, ring[i])
-        ends = np.append(ends, hole[0])
-        ring = np.concatenate([ring[: i + 1], hole, hole[:1], ring[i:]])
-    return ring
 
 
 @njit(cache=True)
@@ -192,7 +71,7 @@ def _neighbours(triangles: Any) -> Any:
 @njit(cache=True)
 def _quality(q: Any, x: Any, a: Any, b: Any, c: Any, ab: Any, bc: Any, ca: Any, smooth: Any, tiny: Any) -> Any:
     """Quality of triangle abc; ab, bc, ca say which sides are boundary."""
-    if _turn(q, a, b, c) <= tiny:
+    if turn(q, a, b, c) <= tiny:
         return -1.0
     e0, e1, f0, f1, g0, g1 = (x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[c, 0] - x[a, 0], x[c, 1] - x[a, 1],
                               x[b, 2] - x[a, 2], x[c, 2] - x[a, 2])
@@ -202,7 +81,7 @@ def _quality(q: Any, x: Any, a: Any, b: Any, c: Any, ab: Any, bc: Any, ca: Any, 
     s += (f0 - e0) ** 2 + (f1 - e1) ** 2 + (g1 - g0) ** 2
     value = 2.0 * np.sqrt(3.0) * area / (s + 1e-300)
     # Corners far apart on a surface that curls may look well placed in space.
-    value = min(value, LOOSE * _ear_quality(q, a, b, c))
+    value = min(value, LOOSE * ear_quality(q, a, b, c))
     if (ab and bc and smooth[b]) or (bc and ca and smooth[c]) or (ca and ab and smooth[a]):
         value *= 0.01
     return value
@@ -347,14 +226,14 @@ def triangulate(
     InputError : the polygons cross, or an element is still turned over in the end.
     """
     fixed = len(boundary)
-    ring = _bridged(boundary, loops, where)
-    triangles = _cut_ears(boundary, ring)
+    ring = bridged(boundary, loops, where)
+    triangles = cut_ears(boundary, ring)
     if len(triangles) != len(ring) - 2:
         raise InputError(f"{where}: the polygon of its loops cannot be triangulated")
     adjacent = _neighbours(triangles)
     q = boundary.copy()
     x, normal = frame(q)
-    area = 0.5 * sum(_turn(q, *t) for t in triangles.tolist())
+    area = 0.5 * sum(turn(q, *t) for t in triangles.tolist())
     tiny = 1e-7 * area / len(triangles)
     _flip(q, x, triangles, adjacent, smooth, tiny)
     for round_ in range(PASSES):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geometry.hybrid import shapes
-from geometry.hybrid.band import Band, Partition
+from geometry.hybrid.band import Band
 from geometry.hybrid.brep import Coedge, Face, fit_curve, surface_points
 from geometry.hybrid.hbrep import (
     HybridFace,
@@ -23,6 +23,7 @@ from geometry.hybrid.hbrep import (
     refined_surface,
     tensor_rows,
 )
+from geometry.hybrid.partition import Partition
 from geometry.hybrid.triangle import (
     CUBIC,
     CURVE,

@@ -26,9 +26,9 @@ from iga.errors import FormatError, InputError
 def write_step(shape: object, path: Path) -> Path:
     from OCP.STEPControl import STEPControl_StepModelType, STEPControl_Writer
 
-    from geometry.hybrid.cad import _quiet
+    from geometry.hybrid.kernel import quiet
 
-    _quiet()
+    quiet()
     writer = STEPControl_Writer()
     writer.Transfer(shape, STEPControl_StepModelType.STEPControl_AsIs)
     writer.Write(str(path))

@@ -13,7 +13,8 @@ import pytest
 import geometry
 from geometry.hybrid import read_cad, shapes
 from geometry.hybrid.brep import Curve, check_brep
-from geometry.hybrid.cad import _explore, brep_of
+from geometry.hybrid.cad import brep_of
+from geometry.hybrid.kernel import explore
 from geometry.hybrid.skin import build_skin
 from iga.errors import FormatError, InputError
 from tests.geometry.test_hybrid_cad import write_step
@@ -59,7 +60,7 @@ def test_open_shell(tmp_path: Path) -> None:
 
     shell, builder = TopoDS_Shell(), BRep_Builder()
     builder.MakeShell(shell)
-    for face in _explore(box(), "FACE")[:5]:
+    for face in explore(box(), "FACE")[:5]:
         builder.Add(shell, face)
     message = refused(read_cad, write_step(shell, tmp_path / "open.step"))
     assert "no closed solid" in message
@@ -90,8 +91,8 @@ def test_missing_curve_in_the_parameter_plane() -> None:
     from OCP.TopoDS import TopoDS
 
     shape = BRepPrimAPI_MakeCylinder(1.0, 2.0).Shape()
-    face = next(f for f in _explore(shape, "FACE") if len(_explore(f, "EDGE")) == 3)
-    circle = next(e for e in _explore(face, "EDGE") if len(_explore(e, "VERTEX")) == 1)
+    face = next(f for f in explore(shape, "FACE") if len(explore(f, "EDGE")) == 3)
+    circle = next(e for e in explore(face, "EDGE") if len(explore(e, "VERTEX")) == 1)
     nothing: Geom2d_Curve | None = None
     BRep_Builder().UpdateEdge(TopoDS.Edge(circle), nothing, TopoDS.Face(face), 1e-7)
     assert re.search(r"can: face_\d: its edge \d has no curve in the parameter plane", refused(brep_of, shape, "can"))
@@ -180,7 +181,7 @@ def coloured(path: Path) -> Path:
     XCAFDoc_DocumentTool.ShapeTool_s(document.Main()).AddShape(shape)
     red = Quantity_Color(1.0, 0.0, 0.0, Quantity_TypeOfColor.Quantity_TOC_RGB)
     XCAFDoc_DocumentTool.ColorTool_s(document.Main()).SetColor(
-        _explore(shape, "FACE")[2], red, XCAFDoc_ColorType.XCAFDoc_ColorSurf
+        explore(shape, "FACE")[2], red, XCAFDoc_ColorType.XCAFDoc_ColorSurf
     )
     writer = STEPCAFControl_Writer()
     writer.Transfer(document)
