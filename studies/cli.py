@@ -161,10 +161,14 @@ def _study(options: argparse.Namespace) -> Answer:
 
 
 def _bench(options: argparse.Namespace) -> Answer:
+    if options.case == "catmull_clark":
+        from studies.bench_catmull_clark import run as run_hexes
+
+        return run_hexes(options.elements or 100_000, options.threads, options.mesh, options.stiffness)
     from studies.bench_cube import run
 
     mode = "matrix-free" if options.matrix_free else "assembled"
-    return dict(run(options.problem, options.degree, options.elements, options.threads, mode))
+    return dict(run(options.problem, options.degree, options.elements or 16, options.threads, mode))
 
 
 def _plot(options: argparse.Namespace) -> Answer:
@@ -330,12 +334,16 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--out", default="results", metavar="DIR", help="folder for tables and figures")
 
     bench = command("bench", _bench, "measure assembly and solution on a standard problem")
-    bench.add_argument("case", choices=("cube",), help="the unit cube with a curved interior map")
+    cases = "the unit cube with a curved interior map; hexahedra to interpolating control points"
+    bench.add_argument("case", choices=("cube", "catmull_clark"), help=cases)
     bench.add_argument("--problem", choices=("heat", "elasticity"), default="heat")
     bench.add_argument("--degree", type=int, default=3, metavar="P")
-    bench.add_argument("--elements", type=int, default=16, metavar="N", help="elements in each direction")
+    amount = "cube: elements in each direction (16); catmull_clark: hexahedra (100000)"
+    bench.add_argument("--elements", type=int, metavar="N", help=amount)
     bench.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="T")
-    bench.add_argument("--matrix-free", action="store_true", help="apply the operator without assembling it")
+    bench.add_argument("--matrix-free", action="store_true", help="cube: apply the operator without assembling it")
+    bench.add_argument("--mesh", metavar="FILE", help="catmull_clark: a mesh of hexahedra to take instead")
+    bench.add_argument("--stiffness", action="store_true", help="catmull_clark: go on to the stiffness matrix")
 
     plot = command("plot", _plot, "draw a domain or a solution into an image")
     plot.add_argument("file", metavar="FILE", help="DOMAIN.npz or OUT.vtu")
