@@ -1,7 +1,7 @@
 """The Catmull-Clark benchmark: seconds of each stage from hexahedra to control points, and of a stiffness matrix.
 
-By default a prism around an edge of valence five (`geometry.catmull_clark.shapes.fan`) of some 100,000 cells, with noise
-on its vertices so that interpolation has something to do; or the mesh of a file. Stages:
+By default a prism around an edge of valence five (`geometry.catmull_clark.shapes.fan`) of some 100,000 cells, with
+noise on its vertices so that interpolation has something to do; or the mesh of a file. Stages:
 
     topology      checks, edges, faces, valences, boundary, kinds (`hex_mesh`, `with_features`)
     subdivision   the sparse matrix of one level and the refined mesh

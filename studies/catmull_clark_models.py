@@ -42,7 +42,10 @@ COLUMNS = (
     Column("functions", "int"),
     Column("certified", "int"),
     Column("refuted", "int"),
+    Column("undecided", "int"),
     Column("moved", "int", absolute=2),
+    Column("slid", "int", absolute=2),
+    Column("surface", relative=0.1, absolute=1e-6, format=".1e"),
     Column("patch_test", at_most=1e-10, format=".0e"),
     Column("divergence", at_most=1e-10, format=".0e"),
     Column("volume", relative=1e-4, format=".5g"),
@@ -118,7 +121,9 @@ def _row(mesh: HexMesh, axis: int, real: bool) -> tuple[dict[str, Any], tuple[So
     logs = (hot.log, bent.log)
     row = {
         "cells": len(mesh.topology.hexes), "functions": domain.space.n, "certified": found["certified"],
-        "refuted": found["refuted"], "moved": int(domain.report["moved_vertices"]),
+        "refuted": found["refuted"], "undecided": found["undecided"], "moved": int(domain.report["moved_vertices"]),
+        "slid": int(domain.report.get("moved_boundary_vertices", 0)),
+        "surface": float(domain.report.get("boundary_distance", 0.0)),
         "_elements": sum(block.elements for block in domain.space.blocks),
         "patch_test": solve_exact(domain, "heat", "1+2*x-y+3*z", points=5)[1]["relative_l2_error"],
         "divergence": abs(outflow(domain) / float(integral(domain, 1.0, points=6)) - 1.0), "volume": volume(domain, 6),

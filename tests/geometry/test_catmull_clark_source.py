@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import meshio
 import numpy as np
 import pytest
@@ -10,12 +12,17 @@ import geometry.catmull_clark as source
 from geometry.catmull_clark.mesh import hex_mesh
 from geometry.catmull_clark.settings import Settings, parse
 from geometry.catmull_clark.shapes import ball, box, fan
-from iga.assembly import volume
+from iga.assembly import integral, volume
 from iga.cells import HEXAHEDRON
 from iga.certificate import quality
+from iga.chunk import facet_chunks
 from iga.domain import check
 from iga.errors import InputError
+from iga.field import Field
 from iga.store import load, save
+from problems import Elasticity, elasticity
+from problems import parse as parse_formula
+from problems.material import isotropic
 
 
 def _write(path, points: np.ndarray, cells: np.ndarray, **data: np.ndarray):
@@ -213,6 +220,38 @@ def test_graded_material_through_the_command_line(tmp_path, capsys) -> None:
     graded = _run(main, ["solve", str(domain_file), str(case), "-o", str(tmp_path / "u.vtu"), "--json"], capsys)
     # The mean density is 2.5; by symmetry of the lowest mode the eigenvalue is close to that of a constant one.
     assert abs(graded["eigenvalues"][0] / (3 * (np.pi / 3) ** 2 / 2.5) - 1) < 0.05
+
+
+def test_graded_density_of_an_elastic_bar() -> None:
+    """Attribute as density: waves along a bar of density 1 + x between fixed ends are Airy functions."""
+    from scipy.optimize import brentq
+    from scipy.special import airy
+
+    points, cells = box(6, 2, 2)
+    mesh = hex_mesh(points, cells, {"density": 1.0 + points[:, 0]})
+    domain = source.domain_of(mesh, Settings(space="optimal"))
+    density = Field(domain.space, np.asarray(domain.attributes["density"]))
+    ends = {
+        name: float(np.ptp(np.concatenate([chunk.x[..., 0].ravel() for chunk in facet_chunks(domain, facets)]))) < 1e-9
+        for name, facets in domain.boundaries.items()
+    }
+    assert sum(ends.values()) == 2
+    held = {name: (0.0 if end else None, 0.0, 0.0) for name, end in ends.items()}
+    problem = Elasticity(isotropic(1.0, 0.0), displacement=held, density=density)
+    found = elasticity.modes(problem, domain, 2)[0]
+    formula = replace(problem, density=parse_formula("1+x"))
+    np.testing.assert_allclose(elasticity.modes(formula, domain, 2)[0], found, rtol=1e-9)
+
+    def at_the_ends(value: float) -> float:
+        (a, _, b, _), (c, _, d, _) = (airy(-np.cbrt(value) * (1.0 + x)) for x in (0.0, 6.0))
+        return float(a * d - b * c)
+
+    # u'' + value (1 + x) u = 0, u(0) = u(6) = 0; a constant density of the same mass (4) gives 0.0685.
+    exact = brentq(at_the_ends, 0.05, 0.1)
+    assert abs(exact - np.pi**2 / 36 / 4) > 1e-3
+    np.testing.assert_allclose(found[0], exact, rtol=1e-5)
+    total = float(integral(domain, density))
+    np.testing.assert_allclose(total, 24 * 4.0, rtol=1e-12)
 
 
 def _run(main, arguments: list[str], capsys) -> dict:
