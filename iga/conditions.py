@@ -367,7 +367,14 @@ def _trace_constant(chunk: Chunk, physics: Diffusion | Elasticity, S: Array, poi
     size = np.trace(A, axis1=1, axis2=2) / m
     # Hierarchical splines and T-splines may have more functions on an element than it has polynomials: both forms
     # vanish on what is left over, and the small multiple of the identity keeps A definite there.
-    A = A + size[:, None, None] * (modes @ modes.swapaxes(1, 2) + 1e-12 * np.eye(m))
+    ground = modes @ modes.swapaxes(1, 2) + 1e-12 * np.eye(m)
+    folded = np.flatnonzero((inside.det <= 0.0).any(axis=1))
+    if len(folded):
+        # The energy of a folded element is not positive; any penalty of the right size will do there.
+        values, vectors = np.linalg.eigh(A[folded])
+        A[folded] = (vectors * np.abs(values)[:, None, :]) @ vectors.swapaxes(1, 2)
+        size[folded] = np.abs(values).mean(axis=1)
+    A = A + size[:, None, None] * ground
     L = np.linalg.cholesky(A)
     half = np.linalg.solve(L, B)
     C = np.linalg.solve(L, half.swapaxes(1, 2))

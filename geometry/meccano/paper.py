@@ -33,7 +33,7 @@ from geometry.meccano.interpolation import interpolate, points_and_slopes
 from geometry.meccano.parametrisation import Parametrisation, image
 from geometry.meccano.skin import facet_rule, places_on, skin_of
 from geometry.meccano.t_spline import TSpline, places_of, t_spline
-from geometry.meccano.tmesh import TMesh, cells_at, octree
+from geometry.meccano.tmesh import TMesh, cells_at, octree, refined
 from geometry.meccano.volume import Stage, parametrise
 from iga.assembly import matrix
 from iga.certificate import certify, summary
@@ -210,28 +210,36 @@ def remedied(
 ) -> tuple[Fit, list[Round]]:
     """The paper's remedy: split cells whose centre is negative, until there are none or no cells are left to spend.
 
+    A round may well fold more than it mends, as splines on finer cells follow the kinks of the tetrahedra's map closer.
+    Clamped splines gain functions only where neighbours are split as well.
+
     Returns
     -------
-    The last fit, and the numbers of all rounds, that of the given fit first.
+    The fit with the fewest negative centres, the earliest of equals, and the numbers of all rounds, that of the given
+    fit first.
     """
     block, places = nodes_of(mapping)
     found, bad = judged(made)
-    history = [found]
+    history, best, fewest, last = [found], made, found.negative_centre, made
     for _ in range(min(rounds, _ROUNDS)):
         if not bad.any():
             break
         shown.say(f"remedy: {int(bad.sum())} of {found.cells} cells have a negative centre")
-        # Centres are nodes of the next octree, which therefore splits their cells.
-        centre = made.tmesh.corner[bad] + made.tmesh.size[bad, None] // 2
-        block, places = np.concatenate([block, made.tmesh.block[bad]]), np.concatenate([places, centre])
         try:
-            finer = octree(made.tmesh.blocks, block, places, limit=max_cells)
-        except InputError:  # no room for another round; the last one stands
+            if kind == "optimal":
+                finer = refined(last.tmesh, bad, reach=1, limit=max_cells)
+            else:  # centres are nodes of the next octree, which therefore splits their cells
+                centre = last.tmesh.corner[bad] + last.tmesh.size[bad, None] // 2
+                block, places = np.concatenate([block, last.tmesh.block[bad]]), np.concatenate([places, centre])
+                finer = octree(last.tmesh.blocks, block, places, limit=max_cells)
+        except InputError:  # no room for another round
             break
-        made = fit(kind, finer, mapping)
-        found, bad = judged(made)
+        last = fit(kind, finer, mapping)
+        found, bad = judged(last)
         history.append(found)
-    return made, history
+        if found.negative_centre < fewest:
+            best, fewest = last, found.negative_centre
+    return best, history
 
 
 def inner(made: Fit) -> Mask:
