@@ -227,7 +227,7 @@ def remedied(
         shown.say(f"remedy: {int(bad.sum())} of {found.cells} cells have a negative centre")
         try:
             if kind == "optimal":
-                finer = refined(last.tmesh, bad, reach=1, limit=max_cells)
+                finer = refined(last.tmesh, np.flatnonzero(bad), reach=1, limit=max_cells)
             else:  # centres are nodes of the next octree, which therefore splits their cells
                 centre = last.tmesh.corner[bad] + last.tmesh.size[bad, None] // 2
                 block, places = np.concatenate([block, last.tmesh.block[bad]]), np.concatenate([places, centre])
