@@ -2,22 +2,36 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
 import geometry
 from geometry.meccano import Settings, domain_of, source
+from geometry.meccano.bisection import kuhn, oriented, refine_all
 from geometry.meccano.blocks import cube, place
 from geometry.meccano.domain import bare
 from geometry.meccano.fitting import greville_points
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.interpolation import interpolate
-from geometry.meccano.paper import Fit, apart, at_cells, boundary_triangles, inner, judged
-from geometry.meccano.parametrisation import LEVELS
+from geometry.meccano.paper import (
+    Fit,
+    apart,
+    at_cells,
+    boundary_triangles,
+    fit,
+    inner,
+    judged,
+    nodes_of,
+    remedied,
+    untangled,
+)
+from geometry.meccano.parametrisation import LEVELS, Parametrisation
 from geometry.meccano.shapes import ball
 from geometry.meccano.surface import Surface, volume
 from geometry.meccano.t_spline import t_spline
-from geometry.meccano.tmesh import refined, uniform
+from geometry.meccano.tmesh import octree, refined, uniform
 from iga import InputError
 from iga.assembly import volume as content
 from iga.certificate import certify
@@ -146,6 +160,33 @@ def test_cells_are_judged() -> None:
     assert judged(linear)[0].volume == pytest.approx(1.0, abs=1e-13)
     assert 0 < inner(straight).sum() < own.space.n
     assert not inner(linear)[[0, -1]].any()
+
+
+def folded_cube() -> Parametrisation:
+    """Tetrahedra of the unit cube, one of their inner nodes far from where it belongs."""
+    mesh = refine_all(kuhn(cube()), 6)
+    tets, places_ = oriented(mesh)
+    nodes = np.empty((len(mesh.ends), 3))
+    nodes[tets] = places_ / FULL
+    nodes[np.argmin(np.abs(nodes - 0.5).sum(axis=1))] = (1.0, 0.8, 0.9)
+    return Parametrisation(mesh.blocks, tets, mesh.block, places_, nodes)
+
+
+@pytest.mark.parametrize("kind", ["t-spline", "optimal"])
+def test_remedies(kind: Literal["t-spline", "optimal"]) -> None:
+    mapping = folded_cube()
+    start = fit(kind, octree(mapping.blocks, *nodes_of(mapping)), mapping)
+    best, history = remedied(kind, start, mapping, 2, 3000)
+    assert history[0].negative_centre > 0
+    assert history[0].cells < history[1].cells < history[2].cells
+    assert judged(best)[0].negative_centre == min(row.negative_centre for row in history)
+    assert len(remedied(kind, start, mapping, 2, history[0].cells)[1]) == 1
+    # Moving inner control points mends this fold, which is not the boundary's; that stays bit by bit.
+    mended = untangled(start)
+    before, after = (certify(bare(own.space, own.points)).verdict for own in (start, mended))
+    assert (before == -1).sum() > 0
+    assert (after == 1).all()
+    assert (mended.points[~inner(start)] == start.points[~inner(start)]).all()
 
 
 def test_bad_settings() -> None:
