@@ -47,6 +47,7 @@ class Part:
     distance : (e,) largest sampled distance to the surface.
     folded : (e,)
     banded : (e,) the element touches an edge, or is a triangle of a curved face.
+    bound : (e,) proved bound of the distance to a rational surface, NaN where there is none.
     """
 
     block: Block
@@ -55,6 +56,7 @@ class Part:
     distance: Array
     folded: Mask
     banded: Mask
+    bound: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,11 +124,12 @@ def assemble(brep: Brep, edges: list[Pieces], meshes: list[FaceMesh], flat: Mask
             points.append(control[:, inside].reshape(-1, 3))
             columns.append(dofs)
             inner.append(own)
-            made_.append((np.full(len(own), f), fitted.distance, fitted.folded, touches))
+            bound = np.full(len(own), np.nan) if fitted.bound is None else fitted.bound
+            made_.append((np.full(len(own), f), fitted.distance, fitted.folded, touches, bound))
         if columns:
-            owner, distance, folded, touches = (np.concatenate(c) for c in zip(*made_))
+            owner, distance, folded, touches, bound = (np.concatenate(c) for c in zip(*made_))
             block = Block(BICUBIC if quads else CUBIC, np.concatenate(columns))
-            parts.append(Part(block, np.concatenate(inner), owner, distance, folded, touches))
+            parts.append(Part(block, np.concatenate(inner), owner, distance, folded, touches, bound))
     space = Space(tuple(part.block for part in parts), count)
     rows = np.array([(renumber[a], renumber[b], e) for a, b, e in curves], dtype=np.int64).reshape(-1, 3)
     return Assembled(space, np.concatenate(points), len(x), rows, tuple(parts))

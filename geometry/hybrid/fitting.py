@@ -9,11 +9,12 @@ Axis letters: e element, n control point, q or k sample, c component.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.hybrid.bound import FEET, distance_bound
 from geometry.hybrid.brep import Face, surface_frame
 from geometry.hybrid.chart import Chart, to_parameters
 from geometry.hybrid.hbrep import polynomial_surface, tensor_rows
@@ -34,16 +35,20 @@ STIFF = 0.03
 _PLACES = np.array([(a, b, 4 - a - b) for a in (1, 2) for b in (1, 2) if a + b < 4] + [(1.2, 1.4, 1.4)]) / 4.0
 _CHECKS = np.array([(a, b, 6 - a - b) for a in range(7) for b in range(7 - a)]) / 6.0
 _SQUARE = np.stack(np.meshgrid(*[np.array([0.15, 0.38, 0.62, 0.85])] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+_FEET = np.stack(np.meshgrid(FEET, FEET, indexing="ij"), axis=-1).reshape(-1, 2)
 _SQUARE_CHECKS = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Control points (e, n, 3), largest sampled distance to the surface (e,), and whether elements fold (e,)."""
+    """Control points (e, n, 3), largest sampled distance to the surface (e,), and whether elements fold (e,); a proved
+    bound of the distance (e,) where there is one.
+    """
 
     control: Array
     distance: Array
     folded: Mask
+    bound: Array | None = None
 
 
 def fit_triangles(face: Face, chart: Chart, q: Array, control: Array) -> Fitted:
@@ -80,7 +85,11 @@ def fit_quads(face: Face, low: Array, high: Array, control: Array, exact: Array 
     uv = [(low[:, None] + at * (high - low)[:, None]).reshape(-1, 2) for at in (_SQUARE, _SQUARE_CHECKS)]
     if exact is not None:
         return _measured(face, BICUBIC, _SQUARE_CHECKS, uv[1], start)
-    return _fit(face, BICUBIC, INNER_QUAD, _SQUARE, _SQUARE_CHECKS, uv, start)
+    made = _fit(face, BICUBIC, INNER_QUAD, _SQUARE, _SQUARE_CHECKS, uv, start)
+    x = np.einsum("kn,enc->ekc", BICUBIC.tabulate(_FEET, 0)[0], made.control)
+    at = (low[:, None] + _FEET * (high - low)[:, None]).reshape(-1, 2)
+    feet = project(face, at, x.reshape(-1, 3))[0].reshape(len(low), -1, 2)
+    return replace(made, bound=distance_bound(face, low, high, made.control, feet))
 
 
 def bezier_nets(face: Face, low: Array, high: Array) -> Array | None:

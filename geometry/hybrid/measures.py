@@ -57,9 +57,9 @@ def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: floa
         normal = np.cross(J[..., 0], J[..., 1])
         volume += float(np.einsum("k,ekc,ekc->", rule.weights, X - middle, normal)) / 3.0
         area.append(np.einsum("k,ek->e", rule.weights, np.linalg.norm(normal, axis=-1)))
-    distance, folded, owner, banded = (
+    distance, folded, owner, banded, bound = (
         np.concatenate([getattr(part, name) for part in made.parts])
-        for name in ("distance", "folded", "owner", "banded")
+        for name in ("distance", "folded", "owner", "banded", "bound")
     )
     areas = np.concatenate(area)
     exact = distance <= EXACT * brep.diagonal
@@ -88,7 +88,9 @@ def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: floa
         "band_area": float(areas[banded].sum()), "volume": volume, "volume_error": abs(volume / brep.volume - 1.0),
         "watertight_gap": _gap(made) / brep.diagonal, "crossings": len(pairs), "folded": int(folded.sum()),
         "min_quality": float(quality.min()),
-        "cad_faces_with_quadrilaterals": _per_face(brep, meshes, owner, areas, exact, banded, distance),
+        "cad_faces_with_quadrilaterals": _per_face(
+            brep, meshes, owner, areas, exact, banded, distance, bound
+        ),
     }  # fmt: skip
     bad = folded.copy()
     bad[element[pairs.ravel()]] = True
@@ -118,7 +120,7 @@ def _halves(part: Part) -> list[tuple[int, int]]:
 
 def _per_face(
     brep: Brep, meshes: list[FaceMesh], owner: Index, area: Array, exact: NDArray[np.bool_],
-    banded: NDArray[np.bool_], distance: Array,
+    banded: NDArray[np.bool_], distance: Array, bound: Array,
 ) -> list[dict[str, Any]]:  # fmt: skip
     rows = []
     for f, (face, made) in enumerate(zip(brep.faces, meshes)):
@@ -132,6 +134,9 @@ def _per_face(
             "exact_share": float(area[mine & exact].sum() / total),
             "distance_outside_band": float(distance[mine & ~banded].max(initial=0.0) / brep.diagonal),
         })
+        proved = bound[mine & ~np.isnan(bound)]
+        if len(proved) and len(proved) == len(made.quads):
+            rows[-1]["proved_distance"] = float(proved.max() / brep.diagonal)
     return rows
 
 

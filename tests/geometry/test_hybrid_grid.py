@@ -132,4 +132,48 @@ def test_rational_faces_are_met_to_the_tolerance(data: Path, file: str, share: f
     assert report["max_distance"] < 2e-5
     assert report["volume_error"] < 1e-6
     assert report["exact_area_share"] > share  # the planes
-    assert all(row["triangles"] == 0 for row in report["cad_faces_with_quadrilaterals"])
+    rows = report["cad_faces_with_quadrilaterals"]
+    assert all(row["triangles"] == 0 for row in rows)
+    assert all(row["distance_outside_band"] <= row["proved_distance"] < 1e-4 for row in rows)
+
+
+def test_rational_quadrilaterals_are_near_by_proof() -> None:
+    from geometry.hybrid.bound import FEET, distance_bound
+    from geometry.hybrid.brep import Face
+    from geometry.hybrid.fitting import fit_quads, project
+    from geometry.patch import Patch
+
+    # A quarter of a cylinder of radius 1, cut in 1, 2, 4 pieces: cubics meet arcs to the sixth power of their length.
+    r = np.sqrt(0.5)
+    arc = np.array([(1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+    control = np.stack([np.column_stack([arc, np.full(3, z)]) for z in (0.0, 0.5)], axis=1)
+    weights = np.array([1.0, r, 1.0])[:, None] * np.ones((1, 2))
+    knots = (np.repeat([0.0, 1.0], 3), np.repeat([0.0, 1.0], 2))
+    face = Face(Patch(knots, control, weights), (), False, "cylinder", "quarter")
+    bounds = []
+    for pieces in (1, 2, 4):
+        half = np.pi / 4 / pieces
+        turn = half + 2 * half * np.arange(pieces)
+        k = 4 / 3 * np.tan(half / 2)
+        a, b = turn - half, turn + half
+        x = np.stack([np.cos(a), np.cos(a) - k * np.sin(a), np.cos(b) + k * np.sin(b), np.cos(b)], axis=1)
+        y = np.stack([np.sin(a), np.sin(a) + k * np.cos(a), np.sin(b) - k * np.cos(b), np.sin(b)], axis=1)
+        z = np.linspace(0.0, 0.5, 4)
+        net = np.stack([np.repeat(x[..., None], 4, 2), np.repeat(y[..., None], 4, 2), np.tile(z, (pieces, 4, 1))], -1)
+        net = net.reshape(pieces, 16, 3)
+        ends = 0.5 + 0.5 * np.tan((np.linspace(0, np.pi / 2, pieces + 1) - np.pi / 4) / 2) / np.tan(np.pi / 8)
+        low = np.stack([ends[:-1], np.zeros(pieces)], 1)
+        high = np.stack([ends[1:], np.ones(pieces)], 1)
+        at = np.stack(np.meshgrid(FEET, FEET, indexing="ij"), axis=-1).reshape(-1, 2)
+        p = np.einsum("kn,enc->ekc", bernstein(QUADRILATERAL, 3).tabulate(at, 0)[0], net).reshape(-1, 3)
+        feet = project(face, (low[:, None] + at * (high - low)[:, None]).reshape(-1, 2), p)[0]
+        bound = distance_bound(face, low, high, net, feet.reshape(pieces, 36, 2))
+        assert bound is not None
+        fine = np.random.default_rng(3).random((400, 2))
+        p = np.einsum("kn,enc->ekc", bernstein(QUADRILATERAL, 3).tabulate(fine, 0)[0], net)
+        true = np.abs(np.hypot(p[..., 0], p[..., 1]) - 1).max()
+        assert true <= bound.max() < 20 * true + 1e-12
+        assert fit_quads(face, low, high, net, None).distance.max() < bound.max()
+        bounds.append(float(bound.max()))
+    assert bounds[0] / bounds[1] > 40
+    assert bounds[2] < 1e-6
