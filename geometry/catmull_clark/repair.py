@@ -49,7 +49,7 @@ ALONG = 0.5
 """Springs along the surface."""
 FEW = 50
 """Invalid cells up to which interior points are optimised as they are; more are first made to follow the boundary."""
-_RETURNS = 6
+_RETURNS = 3
 
 
 @dataclass(frozen=True, eq=False)
