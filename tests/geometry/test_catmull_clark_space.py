@@ -206,6 +206,42 @@ def test_box_is_the_tensor_product_spline(features: str) -> None:
             np.testing.assert_allclose(chunk.det, 1.0, atol=1e-13)  # natural splines reproduce the identity
 
 
+def _natural(n: int) -> tuple[BSpline, np.ndarray]:
+    """Uniform cubic B-splines on [0, n] and the matrix that folds the two outer ones in (P_-1 = 2 P_0 - P_1)."""
+    fold = np.eye(n + 3)[:, 1:-1]
+    fold[0, :2] = fold[-1, -1:-3:-1] = 2.0, -1.0
+    return BSpline(np.arange(-3.0, n + 4.0), np.eye(n + 3), 3), fold
+
+
+def test_regular_meshes_have_the_spline_space() -> None:
+    """Values, gradients and stiffness matrix are those of tricubic B-splines with natural ends, to 1e-13."""
+    n = (4, 3, 5)
+    points, cells = box(*n)
+    t = with_features(hex_mesh(points, cells).topology, points)
+    cells_at, xi = _random(t, 50)
+    found = evaluate(t, cells_at, xi)
+    x = points[t.hexes[cells_at, 0]] + xi
+    splines = [_natural(k) for k in n]
+    for d, part in ((None, found.values), *enumerate(found.gradients)):
+        lines = [B(x[:, a], nu=int(a == d)) @ fold for a, (B, fold) in enumerate(splines)]
+        expected = np.einsum("pi,pj,pk->pijk", *lines).reshape(len(x), -1)
+        np.testing.assert_allclose(part.toarray(), expected, atol=1e-13)
+    mass, stiff = [], []
+    at, weight = np.polynomial.legendre.leggauss(4)
+    for k, (B, fold) in zip(n, splines):
+        s = (np.arange(k)[:, None] + 0.5 + at / 2).ravel()
+        w = np.tile(weight / 2, k)
+        values, slopes = B(s) @ fold, B(s, nu=1) @ fold
+        mass.append(values.T @ (w[:, None] * values))
+        stiff.append(slopes.T @ (w[:, None] * slopes))
+    whole = sum(
+        np.kron(np.kron(*[(stiff if a == d else mass)[a] for a in (0, 1)]), (stiff if d == 2 else mass)[2])
+        for d in range(3)
+    )
+    K = matrix(build_domain(t, points, 1), Diffusion(1.0)).toarray()
+    np.testing.assert_allclose(K, whole, atol=1e-13)
+
+
 @pytest.mark.parametrize("depth", [0, 1])
 @pytest.mark.parametrize("name", ["ball", "fan 5", "cross 5"])
 def test_domains_pass_the_patch_test_and_the_divergence_theorem(name: str, depth: int) -> None:
