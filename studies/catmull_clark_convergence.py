@@ -86,7 +86,7 @@ def _cases(size: Size) -> list[Case]:
     valences = (3, 4, 5, 6, 8) if full else (4, 5)
     cases = [Case("general", "catmull_clark", m, 1, 4 if full else 3) for m in valences]
     # At the small size one level less off the regular mesh: all cells of the fan of 6 are irregular.
-    optimal = {m: 3 for m in valences} if full else {4: 3, 6: 2}
+    optimal = dict.fromkeys(valences, 3) if full else {4: 3, 6: 2}
     cases += [Case("general", "optimal", m, 1, levels) for m, levels in optimal.items()]
     cases += [Case("general", "catmull_clark", 5, depth, 3 if full else 2) for depth in (0, 2)]
     cases += [Case("natural", "catmull_clark", m, 1, 4 if full else 3) for m in (valences if full else (5,))]
