@@ -293,6 +293,13 @@ def _well_shaped(surface: Patch, lines: tuple[Array, Array], chosen: Index, n: i
     return np.asarray(regular & (side.max(axis=1) < LARGE * wanted))
 
 
+def kept_share(grid: Grid) -> float:
+    """Share of the inside, in the parameter plane, that becomes quadrilaterals."""
+    area = np.outer(*(np.diff(x) for x in grid.lines))
+    whole = float(area[grid.inside].sum())
+    return float(area[grid.kept].sum()) / whole if whole > 0.0 else 0.0
+
+
 def count_intervals(face: Face) -> dict[str, int]:
     """How many knot intervals of a face are interior, trimmed (crossed or touched by a curve) and exterior."""
     lines = [np.unique(k) for k in face.surface.knots]

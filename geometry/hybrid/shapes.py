@@ -6,6 +6,7 @@ r"""Solids made in code by Boolean operations, after the models of Song and Cohe
     tetrapod             union of four capsules (Figure 4.2c)
     bracket              a mechanical part of many Booleans (Figure 3.1)
     lettered_face        a bicubic surface of 4 x 4 knot intervals with an L-shaped hole (Figure 6.2)
+    lettered_plate       a plate between two such surfaces
 
 The papers do not give the models' numbers; these are ours.
 """
@@ -131,9 +132,48 @@ def _one(shape: Any, where: str) -> Brep:
     return brep_of(unify.Shape(), where)
 
 
+def lettered_plate(intervals: int = 4, thickness: float = 0.3) -> Brep:
+    """`lettered_face` moved down by a thickness: a plate with an L-shaped hole, bicubic above and below."""
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge, BRepBuilderAPI_MakeFace, BRepBuilderAPI_MakeWire
+    from OCP.BRepLib import BRepLib
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakePrism
+    from OCP.collections import Array1_double, Array1_gp_Pnt2d, Array1_int, Array2_gp_Pnt
+    from OCP.Geom import Geom_BSplineSurface
+    from OCP.Geom2d import Geom2d_BezierCurve
+    from OCP.gp import gp_Pnt, gp_Pnt2d, gp_Vec
+
+    face = lettered_face(intervals)
+    control = face.surface.control
+    poles = Array2_gp_Pnt(1, control.shape[0], 1, control.shape[1])
+    for i, row in enumerate(control.tolist()):
+        for j, pole in enumerate(row):
+            poles.SetValue(i + 1, j + 1, gp_Pnt(*pole))
+    values, times = np.unique(face.surface.knots[0], return_counts=True)
+    knots, repeats = Array1_double(1, len(values)), Array1_int(1, len(values))
+    for k, (value, many) in enumerate(zip(values.tolist(), times.tolist())):
+        knots.SetValue(k + 1, value)
+        repeats.SetValue(k + 1, many)
+    surface = Geom_BSplineSurface(poles, knots, knots, repeats, repeats, 3, 3)
+    wires = []
+    for loop in face.loops:
+        wire = BRepBuilderAPI_MakeWire()
+        for c in loop:
+            points = Array1_gp_Pnt2d(1, 4)
+            for k, point in enumerate(c.curve.control.tolist()):
+                points.SetValue(k + 1, gp_Pnt2d(*point))
+            wire.Add(BRepBuilderAPI_MakeEdge(Geom2d_BezierCurve(points), surface).Edge())
+        wires.append(wire.Wire())
+    made = BRepBuilderAPI_MakeFace(surface, wires[0], True)
+    for wire in wires[1:]:
+        made.Add(wire)
+    top = made.Face()
+    BRepLib.BuildCurves3d_s(top)
+    return brep_of(BRepPrimAPI_MakePrism(top, gp_Vec(0.0, 0.0, -thickness)).Shape(), "lettered_plate")
+
+
 SHAPES: dict[str, Callable[..., Brep]] = {
     "ball": ball, "curved_box": curved_box, "curved_difference": curved_difference, "tetrapod": tetrapod,
-    "bracket": bracket,
+    "bracket": bracket, "lettered_plate": lettered_plate,
 }
 """Solids by name."""
 

@@ -30,7 +30,7 @@ from geometry.hybrid.brep import Brep
 from geometry.hybrid.chart import make_chart
 from geometry.hybrid.cusps import refuse_cusps
 from geometry.hybrid.facemesh import FaceError, mesh_faces
-from geometry.hybrid.grid import agree, is_flat, make_grid
+from geometry.hybrid.grid import agree, is_flat, kept_share, make_grid
 from geometry.hybrid.measures import measure
 from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
 from geometry.hybrid.sizing import Sizing, size_edges
@@ -42,6 +42,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 ROUNDS = 8
+LITTLE, HALVINGS = 0.25, 2
+"""Share of a face kept as quadrilaterals below which its cells are halved, and how often."""
 PATIENCE = 2
 """Rounds without improvement by a third after which refinement stops: what is left is the file's gap, or a cusp."""
 
@@ -114,6 +116,8 @@ def build_skin(
     least = least_pieces(brep)
     best: tuple[float, Skin] | None = None
     stuck = 0
+    if cells:
+        cells = _fitting_cells(brep, divide_edges(brep, sizing, wanted, least, tolerance), sizing, cells)
     for _ in progress.track(range(ROUNDS), "skin"):
         ends = divide_edges(brep, sizing, wanted, least, tolerance)
         lines, ends = agree(brep, ends, sizing, cells)
@@ -160,3 +164,22 @@ def build_skin(
     if best is None:
         raise InputError(str(failed))
     return best[1]
+
+
+def _fitting_cells(
+    brep: Brep, ends: dict[int, Array], sizing: Sizing, cells: dict[int, float]
+) -> dict[int, float]:
+    """Largest cells of faces, halved where hardly one fits between the trimming curves, if that helps."""
+    fitting, trial = dict(cells), dict(cells)
+    for _ in range(HALVINGS + 1):
+        lines, _ = agree(brep, ends, sizing, trial)
+        poor = set()
+        for f, own in lines.items():
+            if f in trial and kept_share(make_grid(brep, f, own, sizing)) < LITTLE:
+                poor.add(f)
+            elif f in trial:
+                fitting[f] = trial[f]
+        trial = {f: 0.5 * size if f in poor else fitting[f] for f, size in trial.items()}
+        if not poor:
+            break
+    return fitting

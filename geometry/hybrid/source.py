@@ -109,6 +109,10 @@ def _built(brep: Brep, settings: Settings, source: str, shown: Progress) -> tupl
     """Shell as it was filled and its volume, without refinement."""
     began = perf_counter()
     skin = build_skin(brep, settings.size, settings.tolerance, source, shown, settings.skin == "hybrid")
+    kind = settings.skin
+    if settings.skin == "hybrid" and (skin.report["crossings"] or skin.report["folded"]):
+        kind = f"triangles, because quadrilaterals leave folds on {', '.join(skin.report['faulty_faces'])}"
+        skin = build_skin(brep, settings.size, settings.tolerance, source, shown)
     if skin.report.get("crossings") or skin.report.get("folded"):
         raise InputError(
             f"{source}: the skin cuts through itself or folds on {', '.join(skin.report.get('faulty_faces', ()))} "
@@ -123,7 +127,7 @@ def _built(brep: Brep, settings: Settings, source: str, shown: Progress) -> tupl
     distance = skin.report.get("max_distance")
     told = {key: value for key, value in skin.report.items() if key not in ("volume", "elements", "max_distance")}
     stages = {"skin": made - began, "inside": perf_counter() - made}
-    told |= {"cad_faces": len(brep.faces), "cad_volume": brep.volume, "stages": stages}
+    told |= {"skin": kind, "cad_faces": len(brep.faces), "cad_volume": brep.volume, "stages": stages}
     if distance is not None:
         reach = float(distance) * brep.diagonal
         told["distance"] = {"to_input": reach, "from_input": None, "relative": float(distance)}
