@@ -121,6 +121,14 @@ def table_at(basis: LocalBasis, points: Array, rational: bool) -> Array:
     return np.ascontiguousarray(np.concatenate([values, *rows] if rational else rows).T)
 
 
+@cache
+def lattice_table(basis: LocalBasis, n: int, rational: bool) -> Array:
+    """`table_at` of the lattice with n points along each edge (`sample_points`)."""
+    table = table_at(basis, sample_points(basis.cell, n), rational)
+    table.setflags(write=False)
+    return table
+
+
 def tables_at(basis: LocalBasis, points: Array, rational: bool) -> Array:
     """Tables (e, b, s) of a basis at one point (e, 3) of each element."""
     values, slopes = basis.tabulate(points, 1)

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.sparse import block_array, coo_array, csr_array, diags_array, eye_array
 from scipy.sparse.csgraph import connected_components
 
-from iga.block import Block, Extraction, Kronecker, Patterns
+from iga.block import Block, Extraction, Kronecker, Patterns, bezier_coefficients
 from iga.certificate import Witnesses, certify
 from iga.descent import descend
-from iga.distortion import Batch, evaluate, own_shapes, sample_points, table_at, tables_at
+from iga.distortion import Batch, evaluate, lattice_table, own_shapes, sample_points, tables_at
 from iga.domain import Domain, Space
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
@@ -34,6 +34,7 @@ Mask = NDArray[np.bool_]
 
 EPSILON = 0.05
 _EXTRA_WEIGHT = 0.2
+_FINE = 9
 _KEPT = 6
 """Most sample points of its own that an element has."""
 
@@ -154,7 +155,8 @@ def smooth(
     samples: int = 3,
     power: float = 2.0,
     depth: int = 6,
-    tether: Tether | Sequence[Tether] | None = None,
+    tether: Tether | Sequence[Tether] | Callable[[Array], Tether] | None = None,
+    repairs: int = 2,
     shown: Progress = QUIET,
 ) -> Untangled:
     """Improve the shapes of all elements of a valid domain, which stays valid; parameters as in `untangle`.
@@ -165,20 +167,26 @@ def smooth(
 
     Parameters
     ----------
+    shapes : by default `own_shapes` at the start of each round.
     tether : springs, or those of each round, which then set the number of rounds: with ever stiffer ones a valid solid
-        is drawn to a place that it could not reach in one step.
+        is drawn to a place that it could not reach in one step. Or a function that gives the springs of a round for the
+        control points at its start.
+    repairs : most times that elements are untangled in a round.
     """
-    tethers = [tether] * rounds if tether is None or isinstance(tether, Tether) else list(tether)
+    single = tether is None or isinstance(tether, Tether) or callable(tether)
+    tethers = [tether] * rounds if single else list(tether)  # type: ignore[arg-type]
     task = _Task(domain, free, shapes, samples, power)
     points = domain.points.copy()
     broken, _ = task.check(points, np.arange(task.elements), depth)
     history = [Round(len(broken), 0, task.elements, np.nan)]
     open_ = task.open & ~task.touching(task.mask(broken))
     seen = np.flatnonzero(task.elements_of(open_))
-    for own in tethers if len(seen) else ():
-        task.tether = own
+    for number, own in enumerate(tethers if len(seen) else ()):
+        task.tether = own(points) if callable(own) else own
+        if shapes is None and number:
+            task.shape(own_shapes(replace(domain, points=points)))
         step, least = task.minimise(points, open_, seen, iterations)
-        step = task.mended(points, step, open_, seen, depth)
+        step = task.mended(points, step, open_, seen, depth, repairs)
         points, count = task.advanced(points, step, seen, depth)
         history.append(Round(count, int(open_.sum()), len(seen), least))
         shown.say(f"smoothing: {count} elements held back")
@@ -220,7 +228,7 @@ class _Task:
         if [s.shape for s in shapes] != wanted:
             raise InputError(f"ideal shapes must be arrays {wanted}, not {[s.shape for s in shapes]}")
         self.domain, self.samples, self.power, self.size, self.tether = domain, samples, power, size, tether
-        self.inverse = [np.linalg.inv(s) for s in shapes]
+        self.shape(shapes)
         self.offsets = np.concatenate([[0], np.cumsum([b.elements for b in space.blocks])]).astype(np.int64)
         self.elements = int(self.offsets[-1])
         T = space.constraint
@@ -239,6 +247,10 @@ class _Task:
         self.scale[~np.isfinite(self.scale)] = 1.0
         self.extras: list[tuple[Index, Array]] = []
 
+    def shape(self, shapes: Sequence[Array]) -> None:
+        """Take other ideal elements."""
+        self.inverse = [np.linalg.inv(s) for s in shapes]
+
     def touching(self, elements: Mask) -> Mask:
         """Open columns that move some of the elements."""
         return self.open & np.asarray(self.around.T @ elements.astype(float) > 0.0)
@@ -253,9 +265,9 @@ class _Task:
         mask[elements] = True
         return mask
 
-    def mended(self, points: Array, step: Array, open_: Mask, seen: Index, depth: int) -> Array:
+    def mended(self, points: Array, step: Array, open_: Mask, seen: Index, depth: int, repairs: int) -> Array:
         """Steps of the columns after untangling what they leave invalid."""
-        for _ in range(2):
+        for _ in range(repairs):
             invalid, worst = self.check(points + self.moves @ step, seen, depth)
             if not len(invalid):
                 break
@@ -301,10 +313,8 @@ class _Task:
             mine = undecided[(undecided >= offsets[k]) & (undecided < offsets[k + 1])]
             if not len(mine):
                 continue
-            grid = sample_points(block.basis.cell, 9)
-            low = _determinants(part, k, mine - offsets[k], grid).argmin(axis=1)
             found.append(numbers[mine])
-            xi.append(grid[low])
+            xi.append(_lowest(part, k, mine - offsets[k]))
         return np.concatenate(found), np.concatenate(xi)
 
     def _part(self, points: Array, elements: Index) -> tuple[Domain, Index]:
@@ -430,8 +440,7 @@ class _Task:
         for k, own, own_xi in jobs:
             block = _some(space.blocks[k], own)
             basis = block.basis
-            points = sample_points(basis.cell, self.samples)
-            table = table_at(basis, points, rational) if own_xi is None else tables_at(basis, own_xi, rational)
+            table = lattice_table(basis, self.samples, rational) if own_xi is None else tables_at(basis, own_xi, rational)
             weight = np.full(len(own), 1.0 if own_xi is None else _EXTRA_WEIGHT)
             made.append(Batch(
                 replace(block, dofs=number[block.dofs]), table, 4 if rational else 3,
@@ -472,18 +481,18 @@ def _incidence(space: Space, elements: int) -> csr_array:
     return csr_array(coo_array((np.ones(len(at[0])), at), shape=(elements, space.n)))
 
 
-def _determinants(domain: Domain, number: int, elements: Index, points: Array) -> Array:
-    """Det J (e, q) of elements at points."""
-    block = _some(domain.space.blocks[number], elements)
-    values, weights = domain.points, domain.space.weights
-    rational = weights is not None
+def _lowest(domain: Domain, number: int, elements: Index) -> Array:
+    """Points (e, 3) of a lattice of each element where det J is lowest."""
+    block, values, weights = domain.space.blocks[number], domain.points, domain.space.weights
     if weights is not None:
         values = np.column_stack([values * weights[:, None], weights])
-    unit = np.broadcast_to(np.eye(3), (len(elements), 3, 3)).copy()
-    made = []
-    for q in range(len(points)):
-        table = table_at(block.basis, points[q : q + 1], rational)
-        batch = Batch(block, table, 4 if rational else 3, unit, np.ones(len(elements)),
-                      np.zeros(len(elements), dtype=np.int64))
-        made.append(evaluate([batch], values, np.ones(1), 1.0)[3][0])
-    return np.stack(made, axis=1)
+    grid = sample_points(block.basis.cell, _FINE)
+    table = lattice_table(block.basis, _FINE, weights is not None)
+    low = np.empty(len(elements), dtype=np.int64)
+    for k, element in enumerate(elements.tolist()):
+        net = bezier_coefficients(block, values, np.array([element]))[0]
+        J = (net.T @ table).reshape(net.shape[1], -1, len(grid))
+        if weights is not None:
+            J = (J[:3, 1:] - J[:3, :1] / J[3:, :1] * J[3:, 1:]) / J[3:, :1]
+        low[k] = np.linalg.det(np.moveaxis(J, 2, 0)).argmin()
+    return grid[low]

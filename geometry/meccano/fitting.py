@@ -91,7 +91,7 @@ def fit_boundary(
     diagonal = np.repeat(1.0 / np.maximum(scale, 1e-12 * scale.max(initial=1.0)), 3)
     size = len(right)
     solved, failed = cg(
-        LinearOperator((size, size), product), right, rtol=1e-4, maxiter=4000,
+        LinearOperator((size, size), product), right, rtol=1e-3, maxiter=4000,
         M=LinearOperator((size, size), lambda x: diagonal * x.ravel()),
     )
     if failed:

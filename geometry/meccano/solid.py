@@ -145,6 +145,12 @@ def spread(surface: Surface) -> Array:
     return samples(surface.points, surface.triangles, _SPACING * surface.diagonal)
 
 
+def surface_samples(surface: Surface, spacing: float) -> tuple[Array, Array]:
+    """Points (k, 3) of the surface with about that spacing, relative to its diagonal, and normals there."""
+    points = samples(surface.points, surface.triangles, spacing * surface.diagonal)
+    return points, unit_normals(surface)[closest(surface.points, surface.triangles, points)[2]]
+
+
 _SPACING = 0.01
 _CUTS = 6
 _LINE = np.linspace(0.0, 1.0, _CUTS + 1)
@@ -219,8 +225,8 @@ def solid_of(
         if finer is None or finer.space.tmesh.cells < _WORTH * solid.space.tmesh.cells:
             break
         solid = finer
-    for _ in range(aims.slides):
-        solid = _slid(solid, surface, aim, aims, shown)
+    if aims.slides:
+        solid = _slid(solid, surface, _EARLY, aims, shown)
         note("sliding", solid, errors_of(solid, aim, surface))
     for _ in range(_SNAPS):
         finer = _refined(solid, _marked(solid, errors_of(solid, aim, surface), aims), aims.max_cells)
@@ -229,6 +235,11 @@ def solid_of(
         aim = target(*side_coordinates(finer.skin, _OUTER))
         solid = _snapped(finer, surface, aim, aims)
         note("fitting", solid, errors_of(solid, aim, surface))
+    if aims.slides:
+        solid = _slid(solid, surface, _LATE, aims, shown)
+        note("sliding", solid, errors_of(solid, aim, surface))
+        solid = _snapped(solid, surface, aim, aims)
+        note("fitting", solid, errors_of(solid, aim, surface))
     return solid, history
 
 
@@ -236,9 +247,17 @@ _SHARE = 0.2
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _FINE = (3e-4,)
 _STIFF = (1.0, 10.0, 100.0)
+_FIRM = (30.0,)
+_COARSE = 1200
+_SPRINGS = 0.02
+_HOLD = 0.25
+_POWER = 4.0
+_EARLY = 3
+_LATE = 3
+_SLIDE = 25
+_REPAIRS = 1
 _GROWTH = 2.2
 _WORTH = 1.04
-_RINGS = 2
 _RESERVED = 0.94
 _SNAPS = 3
 
@@ -270,10 +289,13 @@ def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progres
         change[skin.functions] = wanted - solid.points[skin.functions]
         goal = solid.points + harmonic(solid.space, change, skin.functions)
         solid = replace(solid, points=approach(solid.domain, goal).points)
+    coarse = solid.space.tmesh.cells <= _COARSE
     gap = np.linalg.norm(wanted - solid.points[skin.functions], axis=1)
-    near = grown(solid, skin.functions[gap > 0.1 * aims.tolerance], _RINGS)
-    springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in _STIFF]
-    found = smooth(solid.domain, near, iterations=30, tether=springs, shown=shown)
+    near = grown(solid, skin.functions[gap > 0.1 * aims.tolerance], 2 if coarse else 1)
+    springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in (_STIFF if coarse else _FIRM)]
+    found = smooth(
+        solid.domain, near, iterations=30 if coarse else 20, tether=springs, repairs=2 if coarse else 1, shown=shown
+    )
     goal = found.points.copy()
     goal[skin.functions] = wanted
     made = approach(replace(solid.domain, points=found.points), goal)
@@ -325,15 +347,31 @@ def _refined(solid: Solid, marks: Index, most: int) -> Solid | None:
     return None
 
 
-def _slid(solid: Solid, surface: Surface, aim: Array, aims: Aims, shown: Progress) -> Solid:
-    """Smooth with the boundary sliding along the surface, then fit it to its closest points as far as that is valid."""
-    A, n = values_at(solid.skin, _OUTER), solid.space.space.n
-    near, _, triangle = closest(surface.points, surface.triangles, A @ solid.points)
-    normals = unit_normals(surface)
-    weights = np.full(len(near), 1.0 / len(_OUTER) / (0.25 * aims.tolerance) ** 2)
-    tether = Tether(A, near, normals[triangle], weights, 0.01)
-    points = smooth(solid.domain, np.ones(n, dtype=bool), rounds=1, iterations=40, tether=tether, shown=shown).points
-    return _snapped(replace(solid, points=points), surface, aim, aims)
+def _slid(solid: Solid, surface: Surface, rounds: int, aims: Aims, shown: Progress) -> Solid:
+    """Smooth with the boundary sliding along the surface.
+
+    Springs pull samples of the boundary to the surface, and samples of the surface pull the boundary where it is
+    closest to them, which keeps the tips of limbs in place.
+    """
+    there, normals = surface_samples(surface, _SPRINGS)
+    A = values_at(solid.skin, _OUTER)
+
+    def springs(points: Array) -> Tether:
+        near, _, triangle = closest(surface.points, surface.triangles, A @ points)
+        facet, u, _ = feet(replace(solid, points=points), there)
+        B = values_on(solid.skin, facet, u)
+        each = np.bincount(facet, minlength=len(solid.skin.cell))[facet]
+        weights = np.concatenate([np.full(len(near), 1.0 / len(_OUTER)), 1.0 / each]) / (_HOLD * aims.tolerance) ** 2
+        return Tether(
+            csr_array(vstack([A, B])), np.concatenate([near, there]),
+            np.concatenate([unit_normals(surface)[triangle], normals]), weights, 0.01,
+        )
+
+    free = np.ones(solid.space.space.n, dtype=bool)
+    found = smooth(
+        solid.domain, free, rounds=rounds, iterations=_SLIDE, power=_POWER, tether=springs, repairs=_REPAIRS, shown=shown
+    )
+    return replace(solid, points=found.points, invalid=found.invalid)
 
 
 def _snapped(solid: Solid, surface: Surface, aim: Array, aims: Aims) -> Solid:
