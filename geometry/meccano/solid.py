@@ -227,19 +227,23 @@ def solid_of(
         solid = finer
     if aims.slides:
         solid = _slid(solid, surface, _EARLY, aims, shown)
-        note("sliding", solid, errors_of(solid, aim, surface))
-    for _ in range(_SNAPS):
-        finer = _refined(solid, _marked(solid, errors_of(solid, aim, surface), aims), aims.max_cells)
-        if finer is None:
+        errors = errors_of(solid, aim, surface)
+        note("sliding", solid, errors)
+    for _ in range(_FITS):
+        most = min(aims.max_cells, _GROWTH * solid.space.tmesh.cells)
+        finer = _refined(solid, _marked(solid, errors, aims), int(most))
+        if finer is None or finer.space.tmesh.cells < _WORTH * solid.space.tmesh.cells:
             break
         aim = target(*side_coordinates(finer.skin, _OUTER))
         solid = _snapped(finer, surface, aim, aims)
-        note("fitting", solid, errors_of(solid, aim, surface))
+        if aims.slides:
+            solid = _slid(solid, surface, 1, aims, shown)
+        errors = errors_of(solid, aim, surface)
+        note("fitting", solid, errors)
     if aims.slides:
         solid = _slid(solid, surface, _LATE, aims, shown)
-        note("sliding", solid, errors_of(solid, aim, surface))
-        solid = _snapped(solid, surface, aim, aims)
-        note("fitting", solid, errors_of(solid, aim, surface))
+    solid = _snapped(solid, surface, aim, aims)
+    note("sliding", solid, errors_of(solid, aim, surface))
     return solid, history
 
 
@@ -247,19 +251,18 @@ _SHARE = 0.2
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _FINE = (3e-4,)
 _STIFF = (1.0, 10.0, 100.0)
-_FIRM = (30.0,)
+_FIRM = (10.0, 100.0)
 _COARSE = 1200
 _SPRINGS = 0.02
 _HOLD = 0.25
 _POWER = 4.0
 _EARLY = 3
 _LATE = 3
-_SLIDE = 25
-_REPAIRS = 1
+_SLIDE = 30
 _GROWTH = 2.2
 _WORTH = 1.04
-_RESERVED = 0.94
-_SNAPS = 3
+_RESERVED = 0.4
+_FITS = 4
 
 
 def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
@@ -369,7 +372,7 @@ def _slid(solid: Solid, surface: Surface, rounds: int, aims: Aims, shown: Progre
 
     free = np.ones(solid.space.space.n, dtype=bool)
     found = smooth(
-        solid.domain, free, rounds=rounds, iterations=_SLIDE, power=_POWER, tether=springs, repairs=_REPAIRS, shown=shown
+        solid.domain, free, rounds=rounds, iterations=_SLIDE, power=_POWER, tether=springs, repairs=0, shown=shown
     )
     return replace(solid, points=found.points, invalid=found.invalid)
 
