@@ -33,6 +33,9 @@ Index = NDArray[np.int64]
 class LocalBasis(Protocol):
     """What the rest of the core asks of the functions on one reference cell."""
 
+    def __hash__(self) -> int:
+        """Equal bases share tables."""
+
     @property
     def cell(self) -> Cell:
         """The reference cell."""

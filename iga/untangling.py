@@ -173,8 +173,11 @@ def smooth(
         control points at its start.
     repairs : most times that elements are untangled in a round.
     """
-    single = tether is None or isinstance(tether, Tether) or callable(tether)
-    tethers = [tether] * rounds if single else list(tether)  # type: ignore[arg-type]
+    tethers: list[Tether | Callable[[Array], Tether] | None]
+    if tether is None or isinstance(tether, Tether) or callable(tether):
+        tethers = [tether] * rounds
+    else:
+        tethers = list(tether)
     task = _Task(domain, free, shapes, samples, power)
     points = domain.points.copy()
     broken, _ = task.check(points, np.arange(task.elements), depth)
@@ -309,7 +312,7 @@ class _Task:
     ) -> tuple[Index, Array]:
         found = [numbers[offsets[witnesses.block] + witnesses.element]]
         xi = [witnesses.xi]
-        for k, block in enumerate(part.space.blocks):
+        for k in range(len(part.space.blocks)):
             mine = undecided[(undecided >= offsets[k]) & (undecided < offsets[k + 1])]
             if not len(mine):
                 continue
@@ -440,7 +443,10 @@ class _Task:
         for k, own, own_xi in jobs:
             block = _some(space.blocks[k], own)
             basis = block.basis
-            table = lattice_table(basis, self.samples, rational) if own_xi is None else tables_at(basis, own_xi, rational)
+            if own_xi is None:
+                table = lattice_table(basis, self.samples, rational)
+            else:
+                table = tables_at(basis, own_xi, rational)
             weight = np.full(len(own), 1.0 if own_xi is None else _EXTRA_WEIGHT)
             made.append(Batch(
                 replace(block, dofs=number[block.dofs]), table, 4 if rational else 3,

@@ -4,8 +4,13 @@ On a coarse T-mesh the solid starts as a smooth blob: its boundary is fitted wit
 harmonic in the straight picture of the meccano. Then springs of growing stiffness draw the boundary to ever better
 fits, while the distortion of the elements keeps them valid: a valid solid inflates to the wanted one, and hardly
 anything has to be untangled. Cells whose facets are farther from the surface than the tolerance are split with their
-neighbours, the solid is carried to the finer space as it is, and is drawn again. At last boundary points may slide
-along the surface while all shapes are smoothed.
+neighbours, the solid is carried to the finer space as it is, and is drawn again: with much care while there are few
+cells, because what is smooth on a coarse mesh stays so on finer ones.
+
+From some part of the cells on the map is left: boundary points slide along the surface while all shapes are smoothed,
+held by springs between samples of the boundary and the points of the surface closest to them, and between samples of
+the surface and the points of the boundary closest to those. What is still off is split, fitted and smoothed the same
+way, at last only where shapes are poor.
 
 Axis letters: n function, f facet, q sample point, v vertex of the surface, c component.
 """
@@ -14,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -22,11 +28,12 @@ from scipy.sparse import csr_array, vstack
 
 from geometry.meccano.blocks import place
 from geometry.meccano.collocation import prolongation
-from geometry.meccano.distance import closest, samples
+from geometry.meccano.distance import closest
+from geometry.meccano.errors import Errors, errors_of, feet, surface_samples, unit_normals
 from geometry.meccano.fitting import fit_boundary, greville_points
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.skin import Skin, facet_rule, side_coordinates, skin_of, values_at, values_on
-from geometry.meccano.surface import Surface, area_vectors
+from geometry.meccano.surface import Surface
 from geometry.meccano.tmesh import refined
 from iga.assembly import matrix
 from iga.distortion import own_shapes
@@ -34,6 +41,7 @@ from iga.domain import Domain
 from iga.integrands import Diffusion
 from iga.linear.solvers import solve
 from iga.progress import QUIET, Progress
+from iga.scaled_jacobian import least_of_elements
 from iga.untangling import Tether, approach, smooth, untangle
 
 Array = NDArray[np.float64]
@@ -43,6 +51,9 @@ Target = Callable[[Index, Array], Array]
 
 _SAMPLES = 5
 _OUTER = facet_rule(_SAMPLES)
+
+_SPACING = 0.01
+"""Of the samples of the surface at which errors are measured, in diagonals."""
 
 
 @dataclass(frozen=True)
@@ -109,84 +120,6 @@ def harmonic(space: Hierarchy, points: Array, fixed: Index) -> Array:
     ], axis=1)
 
 
-@dataclass(frozen=True, eq=False)
-class Errors:
-    """How far a solid is from the surface, at samples of all facets.
-
-    Attributes
-    ----------
-    away : (f,) largest distance of the solid's boundary from the surface.
-    missed : (f,) largest distance of the surface, where the map puts the facet or the facet is closest, from the
-        solid's boundary.
-    """
-
-    away: Array
-    missed: Array
-
-    @property
-    def worst(self) -> Array:
-        """(f,)"""
-        return np.maximum(self.away, self.missed)
-
-
-def errors_of(solid: Solid, aim: Array, surface: Surface) -> Errors:
-    """Measure a solid; ``aim`` (f q, 3) is where the map puts the samples `_OUTER` of its facets."""
-    count = len(solid.skin.cell)
-    nodes, triangles = tessellation(solid.skin, solid.points)
-    away = closest(surface.points, surface.triangles, nodes)[1].reshape(count, -1).max(axis=1)
-    missed = closest(nodes, triangles, aim)[1].reshape(count, -1).max(axis=1)
-    facet, _, gap = feet(solid, spread(surface))
-    np.maximum.at(missed, facet, gap)
-    return Errors(away, missed)
-
-
-def spread(surface: Surface) -> Array:
-    """Points (k, 3) of the surface, close together."""
-    return samples(surface.points, surface.triangles, _SPACING * surface.diagonal)
-
-
-def surface_samples(surface: Surface, spacing: float) -> tuple[Array, Array]:
-    """Points (k, 3) of the surface with about that spacing, relative to its diagonal, and normals there."""
-    points = samples(surface.points, surface.triangles, spacing * surface.diagonal)
-    return points, unit_normals(surface)[closest(surface.points, surface.triangles, points)[2]]
-
-
-_SPACING = 0.01
-_CUTS = 6
-_LINE = np.linspace(0.0, 1.0, _CUTS + 1)
-_NODES = np.stack(np.meshgrid(_LINE, _LINE, indexing="ij"), axis=-1).reshape(-1, 2)
-_FIRST = (np.arange(_CUTS)[:, None] * (_CUTS + 1) + np.arange(_CUTS)).ravel()
-_TRIANGLES = np.concatenate([
-    np.stack([_FIRST, _FIRST + _CUTS + 1, _FIRST + 1], axis=1),
-    np.stack([_FIRST + 1, _FIRST + _CUTS + 1, _FIRST + _CUTS + 2], axis=1),
-])
-
-
-def tessellation(skin: Skin, points: Array) -> tuple[Array, Index]:
-    """Points (v, 3) and triangles (t, 3), outward, on all facets: the same number on each, facet by facet."""
-    first = len(_NODES) * np.arange(len(skin.cell))
-    return values_at(skin, _NODES) @ points, (first[:, None, None] + _TRIANGLES).reshape(-1, 3)
-
-
-def feet(solid: Solid, queries: Array) -> tuple[Index, Array, Array]:
-    """Facets (k,) and u (k, 2) where the boundary is closest to points (k, 3), and the distances (k,)."""
-    nodes, triangles = tessellation(solid.skin, solid.points)
-    foot, gap, number = closest(nodes, triangles, queries)
-    facet, local = np.divmod(number, len(_TRIANGLES))
-    corners = nodes[triangles[number]]
-    sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-    weights = (np.linalg.pinv(sides) @ (foot - corners[:, 0])[:, :, None])[:, :, 0]
-    places = _NODES[_TRIANGLES[local]]
-    u = places[:, 0] + np.einsum("ks,ksd->kd", weights, places[:, 1:] - places[:, :1])
-    return facet, np.clip(u, 0.0, 1.0), gap
-
-
-def unit_normals(surface: Surface) -> Array:
-    """(t, 3)"""
-    normals = area_vectors(surface)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
-
-
 def solid_of(
     start: Hierarchy, target: Target, surface: Surface, aims: Aims, shown: Progress = QUIET
 ) -> tuple[Solid, list[dict[str, Any]]]:
@@ -203,14 +136,19 @@ def solid_of(
     The solid, and numbers of each round for a report.
     """
     history: list[dict[str, Any]] = []
+    there = surface_samples(surface, _SPACING)[0]
+    began = perf_counter()
+
+    def measured(solid: Solid, aim: Array) -> Errors:
+        return errors_of(solid.skin, solid.points, aim, there, surface)
 
     def note(stage: str, solid: Solid, errors: Errors) -> None:
         history.append({
             "stage": stage, "cells": solid.space.tmesh.cells, "invalid": len(solid.invalid),
             "away": float(errors.away.max()), "missed": float(errors.missed.max()),
-            "facets_off": int((errors.worst > aims.tolerance).sum()),
+            "facets_off": int((errors.worst > aims.tolerance).sum()), "seconds": perf_counter() - began,
         })
-        shown.say(", ".join(f"{key} {value:.4g}" if key in ("away", "missed") else f"{key} {value}"
+        shown.say(", ".join(f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
                             for key, value in history[-1].items()))
 
     solid = _first(start, target, shown)
@@ -218,7 +156,7 @@ def solid_of(
         aim = target(*side_coordinates(solid.skin, _OUTER))
         for fairness in _FAIRNESS if step == 0 else _FAIRNESS[-1:] if step == 1 else _FINE:
             solid = _drawn(solid, aim, fairness, aims, shown)
-        errors = errors_of(solid, aim, surface)
+        errors = measured(solid, aim)
         note("growth", solid, errors)
         most = min(_RESERVED * aims.max_cells, _GROWTH * solid.space.tmesh.cells)
         finer = _refined(solid, _marked(solid, errors, aims), int(most)) if step < aims.rounds else None
@@ -226,8 +164,8 @@ def solid_of(
             break
         solid = finer
     if aims.slides:
-        solid = _slid(solid, surface, _EARLY, aims, shown)
-        errors = errors_of(solid, aim, surface)
+        solid = _slid(solid, surface, _EARLY * aims.slides, aims, shown)
+        errors = measured(solid, aim)
         note("sliding", solid, errors)
     for _ in range(_FITS):
         most = min(aims.max_cells, _GROWTH * solid.space.tmesh.cells)
@@ -237,13 +175,14 @@ def solid_of(
         aim = target(*side_coordinates(finer.skin, _OUTER))
         solid = _snapped(finer, surface, aim, aims)
         if aims.slides:
-            solid = _slid(solid, surface, 1, aims, shown)
-        errors = errors_of(solid, aim, surface)
+            solid = _slid(solid, surface, aims.slides, aims, shown)
+        errors = measured(solid, aim)
         note("fitting", solid, errors)
     if aims.slides:
-        solid = _slid(solid, surface, _LATE, aims, shown)
+        solid = _slid(solid, surface, aims.slides, aims, shown)
+        solid = _slid(solid, surface, _LATE * aims.slides, aims, shown, poor(solid))
     solid = _snapped(solid, surface, aim, aims)
-    note("sliding", solid, errors_of(solid, aim, surface))
+    note("sliding", solid, measured(solid, aim))
     return solid, history
 
 
@@ -259,6 +198,7 @@ _POWER = 4.0
 _EARLY = 3
 _LATE = 3
 _SLIDE = 30
+_POOR = 0.6
 _GROWTH = 2.2
 _WORTH = 1.04
 _RESERVED = 0.4
@@ -316,6 +256,16 @@ def grown(solid: Solid, functions: Index, rings: int) -> Mask:
     return mask
 
 
+def poor(solid: Solid) -> Mask:
+    """(n,) functions that act on badly shaped elements."""
+    bad, first = least_of_elements(solid.domain) < _POOR, 0
+    mask = np.zeros(solid.space.space.n, dtype=bool)
+    for block in solid.space.space.blocks:
+        mask[block.dofs[bad[first : first + block.elements]]] = True
+        first += block.elements
+    return mask
+
+
 def sizes_of(solid: Solid) -> Array:
     """(n,) edge length of the smallest element that each function acts on."""
     size = np.full(solid.space.space.n, np.inf)
@@ -350,7 +300,9 @@ def _refined(solid: Solid, marks: Index, most: int) -> Solid | None:
     return None
 
 
-def _slid(solid: Solid, surface: Surface, rounds: int, aims: Aims, shown: Progress) -> Solid:
+def _slid(
+    solid: Solid, surface: Surface, rounds: int, aims: Aims, shown: Progress, free: Mask | None = None
+) -> Solid:
     """Smooth with the boundary sliding along the surface.
 
     Springs pull samples of the boundary to the surface, and samples of the surface pull the boundary where it is
@@ -361,7 +313,7 @@ def _slid(solid: Solid, surface: Surface, rounds: int, aims: Aims, shown: Progre
 
     def springs(points: Array) -> Tether:
         near, _, triangle = closest(surface.points, surface.triangles, A @ points)
-        facet, u, _ = feet(replace(solid, points=points), there)
+        facet, u, _ = feet(solid.skin, points, there)
         B = values_on(solid.skin, facet, u)
         each = np.bincount(facet, minlength=len(solid.skin.cell))[facet]
         weights = np.concatenate([np.full(len(near), 1.0 / len(_OUTER)), 1.0 / each]) / (_HOLD * aims.tolerance) ** 2
@@ -370,7 +322,7 @@ def _slid(solid: Solid, surface: Surface, rounds: int, aims: Aims, shown: Progre
             np.concatenate([unit_normals(surface)[triangle], normals]), weights, 0.01,
         )
 
-    free = np.ones(solid.space.space.n, dtype=bool)
+    free = np.ones(solid.space.space.n, dtype=bool) if free is None else free
     found = smooth(
         solid.domain, free, rounds=rounds, iterations=_SLIDE, power=_POWER, tether=springs, repairs=0, shown=shown
     )
@@ -381,8 +333,8 @@ def _snapped(solid: Solid, surface: Surface, aim: Array, aims: Aims) -> Solid:
     """Fit the boundary to the closest points of the surface, and to points of it (k, 3) that it misses."""
     A = values_at(solid.skin, _OUTER)
     near, _, triangle = closest(surface.points, surface.triangles, A @ solid.points)
-    there = np.concatenate([aim, spread(surface)])
-    facet, u, gap = feet(solid, there)
+    there = np.concatenate([aim, surface_samples(surface, _SPACING)[0]])
+    facet, u, gap = feet(solid.skin, solid.points, there)
     far = gap > 0.3 * aims.tolerance
     there, B = there[far], csr_array((0, solid.space.space.n))
     if len(there):

@@ -37,13 +37,14 @@ from geometry.meccano.blocks import pillowed
 from geometry.meccano.boundary_map import BoundaryMap, boundary_map, carried, on_surface
 from geometry.meccano.distance import distances
 from geometry.meccano.domain import build_domain, refine_domain
+from geometry.meccano.errors import tessellation
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.paper import Kind, Remedy, boundary_triangles, paper_solid
 from geometry.meccano.partition import partition
 from geometry.meccano.polycube import polycube_map
 from geometry.meccano.settings import NAME, Settings, parse
 from geometry.meccano.shapes import SHAPES
-from geometry.meccano.solid import Aims, solid_of, tessellation
+from geometry.meccano.solid import Aims, solid_of
 from geometry.meccano.surface import Surface, genus, volume
 from geometry.meccano.tmesh import uniform
 from iga.domain import Domain, Provenance, with_report

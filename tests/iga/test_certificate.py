@@ -20,7 +20,7 @@ from iga.chunk import Chunk
 from iga.determinant import determinant, kernel_plan
 from iga.domain import Domain, Space
 from iga.kernels.jacobian import coefficients
-from iga.scaled_jacobian import scaled_jacobian
+from iga.scaled_jacobian import least_of_elements, scaled_jacobian
 
 CASES = [
     (TETRAHEDRON, (1,)), (TETRAHEDRON, (3,)), (HEXAHEDRON, (1, 1, 1)), (HEXAHEDRON, (2, 1, 3)), (WEDGE, (2, 1)),
@@ -540,3 +540,15 @@ def test_multinomials_of_forms():
     assert shape.sizes == ((4, 3),)
     assert shape.scale.sum() == 4**3
     assert shape.scale.max() == factorial(3)
+
+
+def test_scaled_jacobians_of_elements_agree_with_their_summary():
+    turn = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
+    turn[:, 0] *= np.sign(np.linalg.det(turn))
+    basis = bernstein(HEXAHEDRON, 1)
+    corners = HEXAHEDRON.vertices.astype(float)
+    leaning = corners + corners[:, 2:] * np.array([1.0, 0.0, 0.0])
+    domain = discontinuous(basis, np.stack([corners @ turn.T, leaning @ turn.T]))
+    least = least_of_elements(domain)
+    assert least == pytest.approx([1.0, np.sqrt(0.5)], abs=1e-12)
+    assert scaled_jacobian(domain)["min"] == pytest.approx(least.min(), abs=1e-15)

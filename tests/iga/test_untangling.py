@@ -293,3 +293,20 @@ def test_tethered_points_slide_along_their_planes():
     # Held along the planes as well they hardly move.
     found = smooth(given, free, tether=replace(tether, along=1.0))
     assert np.abs(found.points[top] - points[top]).max() < 1e-3
+
+
+def test_springs_of_each_round_start_from_its_points():
+    domain = cube((2, 2, 2), (4, 4, 4), 0.1)
+    free = inside(domain.points)
+    seen = []
+
+    def springs(points):
+        seen.append(points.copy())
+        pull = csr_array(np.eye(domain.space.n)[free])
+        return Tether(pull, points[free], np.zeros((free.sum(), 3)), np.full(free.sum(), 1e-3), 1.0)
+
+    found = smooth(domain, free, rounds=2, iterations=3, tether=springs, repairs=0)
+    assert len(seen) == 2
+    assert (seen[0] == domain.points).all()
+    assert (seen[1] != domain.points).any()
+    assert (certify(replace(domain, points=found.points)).verdict == 1).all()

@@ -1,0 +1,95 @@
+"""How far the boundary of a solid is from the surface it should have, at samples of both.
+
+Axis letters: f facet, q sample point, k sample of the surface, v vertex, t triangle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.meccano.distance import closest, samples
+from geometry.meccano.skin import Skin, values_at
+from geometry.meccano.surface import Surface, area_vectors
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_CUTS = 6
+_LINE = np.linspace(0.0, 1.0, _CUTS + 1)
+_NODES = np.stack(np.meshgrid(_LINE, _LINE, indexing="ij"), axis=-1).reshape(-1, 2)
+_FIRST = (np.arange(_CUTS)[:, None] * (_CUTS + 1) + np.arange(_CUTS)).ravel()
+_TRIANGLES = np.concatenate([
+    np.stack([_FIRST, _FIRST + _CUTS + 1, _FIRST + 1], axis=1),
+    np.stack([_FIRST + 1, _FIRST + _CUTS + 1, _FIRST + _CUTS + 2], axis=1),
+])
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """How far a solid is from the surface, at samples of all facets.
+
+    Attributes
+    ----------
+    away : (f,) largest distance of the solid's boundary from the surface.
+    missed : (f,) largest distance of the surface, where the map puts the facet or the facet is closest, from the
+        solid's boundary.
+    """
+
+    away: Array
+    missed: Array
+
+    @property
+    def worst(self) -> Array:
+        """(f,)"""
+        return np.maximum(self.away, self.missed)
+
+
+def errors_of(skin: Skin, points: Array, aim: Array, there: Array, surface: Surface) -> Errors:
+    """Measure a solid with control points (n, 3).
+
+    Parameters
+    ----------
+    aim : (f q, 3) where the map puts samples of its facets.
+    there : (k, 3) samples of the surface.
+    """
+    count = len(skin.cell)
+    nodes, _ = tessellation(skin, points)
+    away = closest(surface.points, surface.triangles, nodes)[1].reshape(count, -1).max(axis=1)
+    facet, _, gap = feet(skin, points, np.concatenate([aim, there]))
+    missed = gap[: len(aim)].reshape(count, -1).max(axis=1)
+    np.maximum.at(missed, facet[len(aim) :], gap[len(aim) :])
+    return Errors(away, missed)
+
+
+def surface_samples(surface: Surface, spacing: float) -> tuple[Array, Array]:
+    """Points (k, 3) of the surface with at most that spacing, relative to its diagonal, and normals there."""
+    points = samples(surface.points, surface.triangles, spacing * surface.diagonal)
+    return points, unit_normals(surface)[closest(surface.points, surface.triangles, points)[2]]
+
+
+def tessellation(skin: Skin, points: Array) -> tuple[Array, Index]:
+    """Points (v, 3) and triangles (t, 3), outward, on all facets: the same number on each, facet by facet."""
+    first = len(_NODES) * np.arange(len(skin.cell))
+    return values_at(skin, _NODES) @ points, (first[:, None, None] + _TRIANGLES).reshape(-1, 3)
+
+
+def feet(skin: Skin, points: Array, queries: Array) -> tuple[Index, Array, Array]:
+    """Facets (k,) and u (k, 2) where the boundary is closest to points (k, 3), and the distances (k,)."""
+    nodes, triangles = tessellation(skin, points)
+    foot, gap, number = closest(nodes, triangles, queries)
+    facet, local = np.divmod(number, len(_TRIANGLES))
+    corners = nodes[triangles[number]]
+    sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    weights = (np.linalg.pinv(sides) @ (foot - corners[:, 0])[:, :, None])[:, :, 0]
+    places = _NODES[_TRIANGLES[local]]
+    u = places[:, 0] + np.einsum("ks,ksd->kd", weights, places[:, 1:] - places[:, :1])
+    return facet, np.clip(u, 0.0, 1.0), gap
+
+
+def unit_normals(surface: Surface) -> Array:
+    """(t, 3)"""
+    normals = area_vectors(surface)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
