@@ -28,16 +28,20 @@ class Settings:
     convert: str = "none"
     refine: int = 0
     strategy: str = "kept"
+    paths: str = "blended"
+    mid: tuple[tuple[float, float, float], ...] | None = None
+    relax: float = 0.2
 
 
 _RANGES: dict[str, tuple[float, float]] = {
     "solid": (0, 10**6), "degree": (3, 8), "size": (1e-4, 1.0), "tolerance": (1e-10, 0.1), "layers": (0, 20),
     "omega": (0.01, 0.95), "subdivide": (0, 4), "limit": (1.0, 1e6), "refine": (0, 5),
+    "relax": (0.0, 1.0),
 }
 
 _WORDS = {
     "convert": ("none", "hex4"), "skin": ("triangles", "hybrid"),
-    "strategy": ("kept", "recomputed", "layers", "trimmed"),
+    "paths": ("blended", "straight"), "strategy": ("kept", "recomputed", "layers", "trimmed"),
 }
 
 
@@ -53,12 +57,15 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     for key, value in parameters.items():
         if (key == "subdivide" and str(value) == "auto") or (key == "solid" and value is None):
             made[key] = None
+        elif key == "mid":
+            made[key] = None if value is None or str(value) == "auto" else _points(value)
+            continue
         elif key in _WORDS:
             made[key] = str(value).lower()
             if made[key] not in _WORDS[key]:
                 raise InputError(f"{key} must be one of {', '.join(_WORDS[key])}, not {value!r}")
             continue
-        elif key in ("size", "tolerance", "omega", "limit"):
+        elif key in ("size", "tolerance", "omega", "limit", "relax"):
             made[key] = number(value, key)
         else:
             found = number(value, key)
@@ -69,3 +76,11 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
         if made[key] is not None and not low <= made[key] <= high:
             raise InputError(f"{key} must lie between {low:g} and {high:g}, not {value!r}")
     return Settings(**made)
+
+
+def _points(value: Any) -> tuple[tuple[float, float, float], ...]:
+    """Points from ``x,y,z; x,y,z; ..`` or rows of three numbers."""
+    rows = [row.split(",") for row in value.split(";")] if isinstance(value, str) else [list(row) for row in value]
+    if not rows or any(len(row) != 3 for row in rows):
+        raise InputError(f"mid must be auto, or points as x,y,z; x,y,z; .., not {value!r}")
+    return tuple((number(x, "mid"), number(y, "mid"), number(z, "mid")) for x, y, z in rows)

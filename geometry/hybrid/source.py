@@ -10,7 +10,10 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
     tolerance   wanted distance of the skin to the CAD surfaces, relative to the diagonal (default 2e-5)
     layers      layers of control points under the skin, 3 at least; 0 (default): pyramids and tetrahedra alone. Where
                 layers cannot be made valid they are dropped, and the report says so
-    omega       share of the way to the mid-structure that layers take (default 0.5)
+    omega       share of the way to the mid-structure that layers take (default 0.5), less where they would fold
+    paths       blended (default): layers are traced along the blend of harmonic gradient and distance; or straight
+    mid         the mid-structure: auto (default), or points as "x,y,z; x,y,z; .."
+    relax       relaxation of layers, 0 to 1 (default 0.2)
     subdivide   how often the skin's elements are cut in four before the volume is filled; "auto" (default): once if
                 the skin has few elements, which would leave next to no vertex inside the solid, and once more if
                 elements are left that are not certified
@@ -34,6 +37,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
+
+import numpy as np
 
 from geometry.hybrid import refinement
 from geometry.hybrid.brep import Brep
@@ -145,9 +150,7 @@ def _refined(
         finer = replace(settings, size=settings.size / 2**levels, tolerance=settings.tolerance / SHRINK**levels)
         return _built(brep, finer, source, shown)[1]
     if settings.strategy == "layers" and settings.layers and "layers_dropped" not in coarse.report:
-        domain = complete_with_layers(
-            shell, settings.layers, coarse.report["omega"], coarse.provenance, settings.limit, shown, levels
-        )
+        domain = _layered(shell, settings, coarse.report["omega"], coarse.provenance, shown, levels)
     else:
         for _ in range(levels):
             shell = refined(shell, shell.points)[0]
@@ -177,12 +180,21 @@ def volume_under(
     return _told(first, times)
 
 
+def _layered(
+    shell: Shell, settings: Settings, omega: float, provenance: Provenance, shown: Progress, levels: int = 0
+) -> Domain:
+    middle = None if settings.mid is None else np.array(settings.mid)
+    return complete_with_layers(
+        shell, settings.layers, omega, provenance, settings.limit, shown, levels, settings.paths, middle, settings.relax
+    )
+
+
 def _attempt(
     shell: Shell, settings: Settings, source: str, provenance: Provenance, shown: Progress
 ) -> Domain | InputError:
     try:
         if settings.layers:
-            return complete_with_layers(shell, settings.layers, settings.omega, provenance, settings.limit, shown)
+            return _layered(shell, settings, settings.omega, provenance, shown)
         return complete(shell, provenance, settings.limit, shown=shown)
     except InputError as error:
         return InputError(f"{source}: {error}")

@@ -7,7 +7,8 @@ import importlib.util
 import numpy as np
 import pytest
 
-from geometry.hybrid.layers import _meet, complete_with_layers, directions, inner_shell
+from geometry.hybrid.field import distances, field_under, paths, skeleton
+from geometry.hybrid.layers import _meet, complete_with_layers, directions, inner_shell, valid_layers, ways_of
 from geometry.hybrid.refinement import refine
 from iga.assembly import integral, volume
 from iga.certificate import certify
@@ -88,6 +89,77 @@ def test_layers_are_dropped_where_they_cannot_be(monkeypatch):
     assert "no room" in domain.report["layers_dropped"]
     with pytest.raises(InputError, match="at least 2 layers"):
         complete_with_layers(ball(2, 2, (T,) * 6), 1, 0.5)
+
+
+def tube(n=6, high=3.0):
+    """A prism of n sides about the z axis, of radius one."""
+    angle = 2.0 * np.pi * np.arange(n) / n
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    levels = np.linspace(0.0, high, 5)
+    vertices = np.concatenate([np.column_stack([ring, np.full(n, z)]) for z in levels] + [[[0, 0, 0], [0, 0, high]]])
+    triangles = []
+    for j in range(4):
+        for k in range(n):
+            a, b, c, d = n * j + k, n * j + (k + 1) % n, n * (j + 1) + k, n * (j + 1) + (k + 1) % n
+            triangles += [[a, b, d], [a, d, c]]
+    bottom, top = 5 * n, 5 * n + 1
+    for k in range(n):
+        triangles += [[bottom, (k + 1) % n, k], [top, 4 * n + k, 4 * n + (k + 1) % n]]
+    return bezier_skin(vertices, np.zeros((0, 4), dtype=np.int64), np.array(triangles), 3)
+
+
+@pytest.fixture(scope="module")
+def field():
+    return field_under(tube())
+
+
+def test_field_rises_from_the_skin_to_the_mid_structure(field):
+    """In a prism of three times its radius the mid-structure is near the axis, away from the ends."""
+    shell = tube()
+    away = distances(np.array([[0.0, 0.0, 1.5], [0.2, 0.0, 0.1]]), shell.vertices[skeleton(shell)])
+    assert away == pytest.approx([np.cos(np.pi / 6), 0.1], rel=1e-12)
+    middle = field.points[field.middle]
+    assert np.hypot(middle[:, 0], middle[:, 1]).max() < 0.45
+    assert np.abs(middle[:, 2] - 1.5).max() < 1.4
+    assert field.harmonic.min() >= 0.0
+    assert field.harmonic.max() == 1.0
+    places, lengths = paths(field, np.arange(30), -directions_out(shell)[:30], 9)
+    side = np.flatnonzero(np.abs(shell.vertices[:30, 2] - 1.5) < 0.5)
+    ends = places[side, -1]
+    assert np.hypot(ends[:, 0], ends[:, 1]).max() < 0.4
+    assert 0.5 < lengths[side].min() < lengths[side].max() < 1.5
+
+
+def directions_out(shell):
+    w = directions(shell)
+    return -w / np.linalg.norm(w, axis=1, keepdims=True)
+
+
+def test_mid_structure_given_by_hand():
+    shell = tube()
+    field = field_under(shell, middle=np.array([[0.3, 0.0, 1.5]]))
+    chosen = field.points[field.middle]
+    assert np.linalg.norm(chosen - [0.3, 0.0, 1.5], axis=1).max() < 0.5
+    ways = ways_of(shell, field)
+    ends = ways.places[12:18, -1]  # the ring in the middle
+    assert np.linalg.norm(ends - chosen.mean(axis=0), axis=1).max() < 0.6
+
+
+def test_traced_layers_go_deep_and_are_certified(field):
+    shell = tube()
+    D, scale, left = valid_layers(shell, ways_of(shell, field), 0.75, 3)
+    assert left == 0
+    assert D[-1] == pytest.approx(0.0)
+    assert scale.min() > 0.3
+    made = complete_with_layers(shell, 3, 0.75)
+    assert made.report["paths"] == "blended"
+    assert made.report["omega"] == 0.75
+    assert made.report["mid_structure"] > 0
+    assert (certify(made).verdict > 0).all()
+    assert volume(made, 5) == pytest.approx(3.0 * 1.5 * np.sqrt(3.0), rel=1e-12)
+    straight = complete_with_layers(shell, 3, 0.5, way="straight")
+    assert straight.report["paths"] == "straight"
+    assert (certify(straight).verdict > 0).all()
 
 
 def test_boundary_names(layered):

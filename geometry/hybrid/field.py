@@ -1,0 +1,364 @@
+r"""The field along which layers are traced from a skin towards the mid-structure (Song and Cohen 2019, Section 4.1).
+
+Inside the straight skeleton of the skin, filled with tetrahedra that are cut in eight a few times,
+
+    g   distance to the skeleton's triangles, exact at the vertices
+    M   mid-structure: vertices from where g rises to no neighbour by more than RIDGE times their distance, and with an
+        average |grad g| below FLAT, and where g is largest: the ridges of g without the sheets that run into sharp
+        edges; or vertices near given points
+    h   harmonic, 0 on the skin and 1 on M, by linear finite elements
+
+    f = h grad h / |grad h| + (1 - h) grad g
+
+with gradients averaged at the vertices: off the skin paths leave along the normal, further in they follow h, which has
+no ridge before M. A path runs along f from a vertex of the skin until h reaches ``END``, by steps of a share of the
+tetrahedron at hand; it is given back at equal steps of its length.
+
+Axis letters: v vertex, t tetrahedron, k vertex of the skin, s place on the path, c component.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from geometry.hybrid.filling import LIMIT, fill
+from geometry.hybrid.shell import Shell
+from iga.assembly import matrix
+from iga.cells import QUADRILATERAL, TETRAHEDRON
+from iga.conforming import Complex, entity_keys, straight_domain
+from iga.errors import InputError
+from iga.integrands import Diffusion
+from iga.linear.factorization import factorize
+from iga.refinement import refine
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+RIDGE = 0.5
+FLAT = 0.6
+PATIENCE = 8
+"""Steps that do not raise h by 0.002 after which a path ends where h was largest."""
+END = 0.97
+STEP = 0.2
+"""Step over the cube root of the tetrahedron's volume."""
+ENOUGH = 60_000
+"""Tetrahedra above which the filling is not cut again."""
+CUTS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Tetrahedra inside a skeleton, and functions at their vertices.
+
+    Attributes
+    ----------
+    points : (v, 3), those of the skin first.
+    tets : (t, 4), positive.
+    neighbours : (t, 4) tetrahedron behind the face opposite to each vertex, -1 outside.
+    distance, harmonic : (v,) g and h.
+    middle : (v,) whether a vertex is of the mid-structure.
+    flow : (v, 3) f.
+    """
+
+    points: Array
+    tets: Index
+    neighbours: Index
+    distance: Array
+    harmonic: Array
+    middle: Mask
+    flow: Array
+
+
+def field_under(shell: Shell, limit: float = LIMIT, middle: Array | None = None) -> Field:
+    """Field inside a skin.
+
+    Parameters
+    ----------
+    limit : seconds for the mesh generator.
+    middle : (m, 3) points of the mid-structure; by default it is found.
+
+    Raises
+    ------
+    InputError : the skeleton cannot be filled, or no vertex is of the mid-structure.
+    """
+    triangles = skeleton(shell)
+    points, tets = fill(shell.vertices, triangles, limit)
+    coarse = straight_domain(Complex(((TETRAHEDRON, tets),)), points, 1)
+    cuts = 0
+    while cuts < CUTS and len(tets) * 8 ** (cuts + 1) <= ENOUGH:
+        cuts += 1
+    domain = refine(coarse, cuts)
+    points, tets = domain.points, np.asarray(domain.space.blocks[0].dofs, dtype=np.int64)
+    neighbours = _neighbours(tets, len(points))
+    outer = np.zeros(len(points), dtype=bool)
+    faces = np.array([face.vertices for face in TETRAHEDRON.faces])
+    for f in range(4):
+        outer[tets[neighbours[:, f] < 0][:, faces[f]]] = True
+    distance = np.zeros(len(points))
+    corner = shell.vertices[triangles]
+    inside = np.flatnonzero(~outer)
+    distance[inside] = distances(points[inside], corner)
+    chosen = _ridges(points, tets, distance, outer) if middle is None else _near(points, tets, middle, outer)
+    if not chosen.any():
+        raise InputError("no vertex inside the skin is of the mid-structure")
+    K = csr_array(matrix(domain, Diffusion()))
+    harmonic = chosen.astype(float)
+    free = np.flatnonzero(~outer & ~chosen)
+    if len(free):
+        right = -(K[free] @ harmonic)
+        harmonic[free] = factorize(csr_array(K[free][:, free]), symmetric=True)(right)
+    up, out = (_gradients(points, tets, u) for u in (harmonic, distance))
+    up /= np.linalg.norm(up, axis=1, keepdims=True) + 1e-300
+    h = harmonic[:, None]
+    return Field(points, tets, neighbours, distance, harmonic, chosen, h * up + (1.0 - h) * out)
+
+
+def skeleton(shell: Shell) -> Index:
+    """Triangles (t, 3) between the vertices of a shell; quadrilaterals are cut along a diagonal."""
+    found = [np.zeros((0, 3), dtype=np.int64)]
+    for block, own in zip(shell.space.blocks, shell.corners):
+        if block.basis.cell is QUADRILATERAL:
+            found += [own[:, [0, 2, 3]], own[:, [0, 3, 1]]]
+        else:
+            found.append(own)
+    return np.concatenate(found)
+
+
+def _neighbours(tets: Index, count: int) -> Index:
+    faces = np.array([face.vertices for face in TETRAHEDRON.faces])
+    keys = entity_keys(tets[:, faces].reshape(-1, 3), count)
+    order = np.argsort(keys, kind="stable")
+    same = keys[order[:-1]] == keys[order[1:]]
+    result = np.full(len(keys), -1, dtype=np.int64)
+    a, b = order[:-1][same], order[1:][same]
+    result[a], result[b] = b // 4, a // 4
+    opposite = np.empty((len(tets), 4), dtype=np.int64)
+    for f, own in enumerate(faces.tolist()):
+        opposite[:, ({0, 1, 2, 3} - set(own)).pop()] = result.reshape(-1, 4)[:, f]
+    return opposite
+
+
+def _edges(tets: Index) -> Index:
+    return np.unique(np.sort(tets[:, TETRAHEDRON.edges].reshape(-1, 2), axis=1), axis=0)
+
+
+def _ridges(points: Array, tets: Index, distance: Array, outer: Mask) -> Mask:
+    a, b = _edges(tets).T
+    slope = (distance[b] - distance[a]) / np.linalg.norm(points[b] - points[a], axis=1)
+    steepest = np.full(len(points), -np.inf)
+    np.maximum.at(steepest, a, slope)
+    np.maximum.at(steepest, b, -slope)
+    flat = np.linalg.norm(_gradients(points, tets, distance), axis=1) < FLAT
+    result = (steepest < RIDGE) & flat & ~outer
+    result[distance.argmax()] |= not outer.all()
+    return np.asarray(result)
+
+
+def _near(points: Array, tets: Index, middle: Array, outer: Mask) -> Mask:
+    """Inner vertices nearest to given points, and all within half an edge of them."""
+    a, b = _edges(tets).T
+    length = np.linalg.norm(points[b] - points[a], axis=1)
+    reach = np.zeros(len(points))
+    np.maximum.at(reach, a, length)
+    np.maximum.at(reach, b, length)
+    inside = np.flatnonzero(~outer)
+    chosen = np.zeros(len(points), dtype=bool)
+    if len(inside):
+        chosen[inside[cKDTree(points[inside]).query(middle)[1]]] = True
+        chosen[inside] |= cKDTree(middle).query(points[inside])[0] < 0.5 * reach[inside]
+    return chosen
+
+
+def _gradients(points: Array, tets: Index, u: Array) -> Array:
+    """Gradients (v, 3) of a piecewise linear function, averaged by volume at the vertices."""
+    J = points[tets[:, 1:]] - points[tets[:, :1]]
+    gradient = np.linalg.solve(J, (u[tets[:, 1:]] - u[tets[:, :1]])[..., None])[..., 0]
+    volume = np.abs(np.linalg.det(J))
+    result, total = np.zeros_like(points), np.zeros(len(points))
+    for k in range(4):
+        np.add.at(result, tets[:, k], volume[:, None] * gradient)
+        np.add.at(total, tets[:, k], volume)
+    return np.asarray(result / total[:, None])
+
+
+def distances(x: Array, corner: Array) -> Array:
+    """Distance (q,) of points to triangles (t, 3, 3)."""
+    centre = corner.mean(axis=1)
+    reach = np.linalg.norm(corner - centre[:, None], axis=2).max(axis=1)
+    first = cKDTree(centre).query(x)[1]
+    return np.asarray(_distances(np.ascontiguousarray(x), np.ascontiguousarray(corner), centre, reach, first))
+
+
+@njit(cache=True)
+def _distances(x: Any, corner: Any, centre: Any, reach: Any, first: Any) -> Any:
+    result = np.empty(len(x))
+    for i in range(len(x)):
+        best = _to_triangle(x[i], corner[first[i]])
+        for t in range(len(corner)):
+            d = 0.0
+            for c in range(3):
+                d += (x[i, c] - centre[t, c]) ** 2
+            limit = best + reach[t]
+            if d < limit * limit:
+                best = min(best, _to_triangle(x[i], corner[t]))
+        result[i] = best
+    return result
+
+
+@njit(cache=True)
+def _to_triangle(x: Any, corner: Any) -> Any:
+    """Distance of a point to a triangle: to its plane if the foot lies inside, else to an edge."""
+    a, b, c = corner[0], corner[1], corner[2]
+    u, v, w = b - a, c - a, x - a
+    n = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+    area = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2) + 1e-300
+    n = n / area
+    inside = True
+    best = np.inf
+    for k in range(3):
+        p, q = corner[k], corner[(k + 1) % 3]
+        e, r = q - p, x - p
+        side = (
+            (e[1] * r[2] - e[2] * r[1]) * n[0] + (e[2] * r[0] - e[0] * r[2]) * n[1] + (e[0] * r[1] - e[1] * r[0]) * n[2]
+        )
+        if side < 0.0:
+            inside = False
+        t = (e[0] * r[0] + e[1] * r[1] + e[2] * r[2]) / (e[0] ** 2 + e[1] ** 2 + e[2] ** 2 + 1e-300)
+        t = min(1.0, max(0.0, t))
+        d = r - t * e
+        best = min(best, np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2))
+    if inside:
+        return abs(w[0] * n[0] + w[1] * n[1] + w[2] * n[2])
+    return best
+
+
+def paths(field: Field, starts: Index, directions: Array, samples: int = 17) -> tuple[Array, Array]:
+    """Paths along the field from vertices of the skin.
+
+    Parameters
+    ----------
+    starts : (k,) vertices.
+    directions : (k, 3) ways off the skin, for the first step.
+    samples : places on each path, equally spaced by length.
+
+    Returns
+    -------
+    places (k, s, 3) and lengths (k,); a path that cannot leave its vertex has length zero.
+    """
+    order = np.argsort(field.tets.ravel(), kind="stable")
+    first = np.searchsorted(field.tets.ravel()[order], np.arange(len(field.points) + 1))
+    return _trace(
+        field.points, field.tets, field.neighbours, field.harmonic, field.flow, order // 4, first, starts,
+        directions, samples,
+    )
+
+
+@njit(cache=True)
+def _weights(points: Any, tets: Any, t: Any, x: Any) -> Any:
+    """Barycentric coordinates."""
+    p = points[tets[t]]
+    J = np.empty((3, 3))
+    for i in range(3):
+        for c in range(3):
+            J[c, i] = p[i + 1, c] - p[0, c]
+    s = np.linalg.solve(J, x - p[0])
+    return np.array([1.0 - s[0] - s[1] - s[2], s[0], s[1], s[2]])
+
+
+@njit(cache=True)
+def _walk(points: Any, tets: Any, neighbours: Any, t: Any, x: Any) -> Any:
+    """Tetrahedron that holds a point, from one nearby, or -1."""
+    for _ in range(200):
+        w = _weights(points, tets, t, x)
+        k = np.argmin(w)
+        if w[k] >= -1e-9:
+            return t
+        t = neighbours[t, k]
+        if t < 0:
+            return t
+    return -1
+
+
+@njit(cache=True)
+def _trace(
+    points: Any, tets: Any, neighbours: Any, harmonic: Any, flow: Any, around: Any, first: Any, starts: Any,
+    directions: Any, samples: Any,
+) -> Any:
+    most = 4000
+    places = np.zeros((len(starts), samples, 3))
+    lengths = np.zeros(len(starts))
+    line = np.zeros((most + 2, 3))
+    along = np.zeros(most + 2)
+    for i in range(len(starts)):
+        v = starts[i]
+        x = points[v].copy()
+        line[0] = x
+        count, t = 0, -1
+        size = 0.0
+        # The first step leaves the vertex into one of its tetrahedra.
+        for j in range(first[v], first[v + 1]):
+            own = around[j]
+            p = points[tets[own]]
+            volume = abs(np.linalg.det(p[1:] - p[0])) / 6.0
+            size = STEP * volume ** (1.0 / 3.0)
+            y = x + size * directions[i]
+            w = _weights(points, tets, own, x + 0.1 * size * directions[i])
+            if w.min() >= -1e-3:
+                t = _walk(points, tets, neighbours, own, y)
+                if t >= 0:
+                    x = y
+                    break
+        if t >= 0:
+            count = 1
+            line[1] = x
+            along[1] = np.sqrt(((line[1] - line[0]) ** 2).sum())
+            highest, best = 0.0, 1
+            while count < most:
+                w = _weights(points, tets, t, x)
+                h = 0.0
+                f = np.zeros(3)
+                for k in range(4):
+                    h += w[k] * harmonic[tets[t, k]]
+                    f += w[k] * flow[tets[t, k]]
+                size_f = np.sqrt((f**2).sum())
+                if h >= END or size_f < 1e-6:
+                    break
+                p = points[tets[t]]
+                step = STEP * (abs(np.linalg.det(p[1:] - p[0])) / 6.0) ** (1.0 / 3.0)
+                y = x + step * f / size_f
+                there = _walk(points, tets, neighbours, t, y)
+                if there < 0:
+                    break
+                w = _weights(points, tets, there, y)
+                ahead = 0.0
+                for k in range(4):
+                    ahead += w[k] * harmonic[tets[there, k]]
+                if ahead > highest + 2e-3:
+                    highest, best = ahead, count + 1
+                elif count - best > PATIENCE:  # past the mid-structure
+                    break
+                t, x = there, y
+                count += 1
+                line[count] = x
+                along[count] = along[count - 1] + step
+            count = best
+        lengths[i] = along[count] if count else 0.0
+        at = 0
+        for s in range(samples):
+            wanted = lengths[i] * s / (samples - 1)
+            while at + 1 < count and along[at + 1] < wanted:
+                at += 1
+            if count == 0:
+                places[i, s] = line[0]
+            else:
+                share = (wanted - along[at]) / max(along[at + 1] - along[at], 1e-300)
+                places[i, s] = line[at] + min(1.0, max(0.0, share)) * (line[at + 1] - line[at])
+    return places, lengths
