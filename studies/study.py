@@ -37,6 +37,7 @@ STUDIES: dict[str, str] = {
         "hybrid_error",
         "hybrid_refinement",
         "hybrid_models",
+        "hybrid_convergence",
         "meccano_square",
         "meccano_models",
         "meccano_bunny",
