@@ -38,6 +38,7 @@ STUDIES: dict[str, str] = {
         "hybrid_refinement",
         "hybrid_models",
         "hybrid_convergence",
+        "hybrid_volume",
         "meccano_square",
         "meccano_models",
         "meccano_bunny",

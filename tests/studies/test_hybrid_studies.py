@@ -9,7 +9,7 @@ from geometry.hybrid.hbrep import triangle_error
 from geometry.hybrid.triangle import CUBIC, make_phi
 from geometry.hybrid.trimming import refined
 from iga.progress import QUIET
-from studies import hybrid_error, hybrid_refinement
+from studies import hybrid_error, hybrid_refinement, hybrid_volume
 from studies.hybrid_error import arc_trimming, bezier_patch
 from studies.table import Table, Value
 
@@ -70,3 +70,11 @@ def test_refinement_keeps_what_it_should() -> None:
         assert kept["partition"] > new["partition"]  # type: ignore[operator]
         assert rebuilt["largest"] <= coarse["largest"]  # type: ignore[operator]
         assert all(float(r["outside"]) < 1e-12 for r in (coarse, rebuilt, kept))  # type: ignore[arg-type]
+
+
+def test_layers_traced_anew_wrinkle_more() -> None:
+    rows = {(r["way"], r["level"]): r for r in named(hybrid_volume.run("ci", QUIET).table)}
+    assert all(not row["folded"] for row in rows.values())
+    assert rows["traced", 0]["refuted"] == 0
+    assert float(rows["rebuilt", 1]["wrinkle"]) > 1.3 * float(rows["refined", 1]["wrinkle"])  # type: ignore[arg-type]
+    assert float(rows["traced", 0]["depth"]) > 0.3  # type: ignore[arg-type]
