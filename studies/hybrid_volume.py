@@ -141,6 +141,6 @@ def _said(rows: list[dict[str, Value]]) -> str:
     last = max(int(str(r["level"])) for r in rows if r["model"] == first)
     found: dict[Any, Any] = {r["way"]: r["wrinkle"] for r in rows if r["model"] == first and r["level"] == last}
     return (
-        f"{first} at level {last}: the innermost layer turns by {found['rebuilt']:.1f} degrees at most across edges where "
-        f"the skin is smooth if it is traced anew, by {found['refined']:.1f} if it is refined after tracing."
+        f"{first} at level {last}: the innermost layer turns by {found['rebuilt']:.1f} degrees at most across edges "
+        f"where the skin is smooth if it is traced anew, by {found['refined']:.1f} if it is refined after tracing."
     )
