@@ -4,7 +4,7 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
     skin        "triangles" (default), or "hybrid": quadrilaterals that are the CAD surface itself on curved faces
                 (rational ones to the tolerance), pyramids on them, and triangles along trimming curves. Triangles are
                 the default because tetrahedra refine exactly and keep the full order, where pyramids, whose functions
-                are rational, lose some on warped bases; parts that suit the one have suited the other so far
+                are rational, lose some on warped bases; and because a few parts fold with quadrilaterals alone
     degree      3 (default) or more: degrees above three are added to the cubic volume
     size        largest element of the skin, relative to the diagonal (default 0.2)
     tolerance   wanted distance of the skin to the CAD surfaces, relative to the diagonal (default 2e-5)
