@@ -49,6 +49,7 @@ def test_box_of_splines_is_the_cad_surface() -> None:
     assert sum(row["area"] for row in rows) == pytest.approx(brep.area, rel=1e-7)
 
 
+@pytest.mark.long
 def test_trimmed_splines_have_triangles_along_the_curves() -> None:
     skin = skin_of("curved_difference")
     report = skin.report

@@ -42,6 +42,7 @@ def test_cutting_every_cell_keeps_everything():
     assert kept["skin_crossing"] == kept["inside_crossing"] == 0.0
 
 
+@pytest.mark.long
 def test_filling_anew_keeps_the_skin_alone():
     for strategy in ("recomputed", "layers"):
         _, kept = built(strategy)
@@ -62,6 +63,7 @@ def test_layers_cut_after_tracing_are_nested_where_layers_are():
     assert kept["inside_crossing"] < anew["inside_crossing"]
 
 
+@pytest.mark.long
 def test_building_from_a_finer_b_rep_comes_nearer():
     made, kept = built("trimmed")
     coarse = geometry.build("curved_box", "hybrid", **{**SETTINGS, "refine": 0})

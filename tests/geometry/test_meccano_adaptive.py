@@ -72,6 +72,7 @@ def layer(own: Hierarchy, points: np.ndarray, estimate: bool) -> tuple[float, np
     return solution.norms.h1, indicators(problem, domain, solution.coefficients) if estimate else np.empty(0)
 
 
+@pytest.mark.long
 def test_adaptive_refinement_needs_a_third_of_the_functions() -> None:
     own = hierarchy(uniform(cube(), 2, 3))
     _, x, L = quasi_interpolation(own)
