@@ -161,9 +161,10 @@ def smooth(
 ) -> Untangled:
     """Improve the shapes of all elements of a valid domain, which stays valid; parameters as in `untangle`.
 
-    Each round descends with all free control points (without regularisation: no sample point can fold). Elements that
-    are then not certified are untangled; around those that resist, control points go back towards where they were, in
-    halves, until all are certified. Elements invalid at the start are left alone, with their surroundings.
+    Each round descends with all free control points. Groups of elements whose samples stay above det S = 0.05 cannot
+    fold there; the others are regularised, and may. Elements that are then not certified are untangled; around those
+    that resist, control points go back towards where they were, in halves, until all are certified. Elements invalid at
+    the start are left alone, with their surroundings.
 
     Parameters
     ----------
