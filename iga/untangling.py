@@ -27,6 +27,7 @@ from iga.distortion import Batch, evaluate, lattice_table, own_shapes, sample_po
 from iga.domain import Domain, Space
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
+from iga.tether import Tether, springs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -37,25 +38,6 @@ _EXTRA_WEIGHT = 0.2
 _FINE = 9
 _KEPT = 6
 """Most sample points of its own that an element has."""
-
-
-@dataclass(frozen=True, eq=False)
-class Tether:
-    """Springs that hold points of the solid: energy sum_k w_k ((1 - a) (n_k . r_k)^2 + a |r_k|^2), r = A P - places.
-
-    Attributes
-    ----------
-    A : (k, n) matrix that gives the points from the control points.
-    places, normals : (k, 3) where they should be, and unit vectors across which they count most.
-    weights : (k,)
-    along : a, what distances along the surface normal to the vectors count.
-    """
-
-    A: csr_array
-    places: Array
-    normals: Array
-    weights: Array
-    along: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -360,7 +342,7 @@ class _Task:
         back = csr_array(moves.T)
         values = base.copy()
         delta = np.zeros(groups)
-        pull, soft = self._pull(points, columns)
+        pull, soft = springs(self.tether, points, csr_array(self.moves[:, columns]), self.scale[columns])
 
         def energy(z: Array) -> tuple[float, Array]:
             step = _times(soft, z)
@@ -389,31 +371,6 @@ class _Task:
         step = np.zeros((self.columns, 3))
         step[columns] = _times(soft, z)
         return step, float(low.min(initial=np.inf))
-
-    def _pull(self, points: Array, columns: Index) -> tuple[Callable[[Array], tuple[float, Array]], Array]:
-        """Energy of the tether and its slopes by steps of columns (m, 3); and units of the unknowns (m, 3, 3).
-
-        A unit is the size of the smallest element that a column moves, less in directions in which springs are stiff:
-        l (1 + l^2 K)^(-1/2) with K the column's own block of the springs' second derivatives.
-        """
-        t, size = self.tether, self.scale[columns]
-        if t is None:
-            return lambda step: (0.0, np.zeros_like(step)), size[:, None, None] * np.eye(3)
-        A = csr_array(t.A @ self.moves[:, columns])
-        rows = np.flatnonzero(np.diff(A.indptr))
-        A, normals, w = A[rows], t.normals[rows], t.weights[rows]
-        back = csr_array(A.T)
-        start = t.A[rows] @ points - t.places[rows]
-
-        def pull(step: Array) -> tuple[float, Array]:
-            r = start + A @ step
-            force = w[:, None] * (t.along * r + (1.0 - t.along) * (normals * r).sum(axis=1, keepdims=True) * normals)
-            return float((force * r).sum()), 2.0 * (back @ force)
-
-        each = t.along * np.eye(3) + (1.0 - t.along) * normals[:, :, None] * normals[:, None, :]
-        stiff = back.power(2) @ (2.0 * w[:, None, None] * each).reshape(-1, 9)
-        values, vectors = np.linalg.eigh(np.eye(3) + size[:, None, None] ** 2 * stiff.reshape(-1, 3, 3))
-        return pull, size[:, None, None] * (vectors / np.sqrt(values)[:, None, :]) @ vectors.swapaxes(1, 2)
 
     def _groups(self, columns: Index, seen: Index) -> tuple[Index, int]:
         """Connected group of each element seen, joined by open columns, and how many there are."""

@@ -38,7 +38,8 @@ from iga.certificate import certify
 from iga.distortion import own_shapes
 from iga.domain import Domain
 from iga.progress import QUIET, Progress
-from iga.untangling import Tether, approach, untangle
+from iga.tether import Tether
+from iga.untangling import approach, untangle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -42,7 +42,8 @@ from iga.integrands import Diffusion
 from iga.linear.solvers import solve
 from iga.progress import QUIET, Progress
 from iga.scaled_jacobian import least_of_elements
-from iga.untangling import Tether, approach, smooth, untangle
+from iga.tether import Tether
+from iga.untangling import approach, smooth, untangle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -18,7 +18,8 @@ from iga.descent import descend
 from iga.distortion import Batch, evaluate, own_shapes, sample_points, table_at, tables_at
 from iga.domain import Domain, Space
 from iga.scaled_jacobian import scaled_jacobian
-from iga.untangling import Tether, approach, smooth, untangle
+from iga.tether import Tether
+from iga.untangling import approach, smooth, untangle
 from tests.meshes import box_complex, mixed_complex
 from tests.splines import cube
 
