@@ -53,6 +53,7 @@ def test_filling_anew_keeps_the_skin_alone():
         assert kept["nested"] > 1e-3
 
 
+@pytest.mark.long
 def test_layers_cut_after_tracing_are_nested_where_layers_are():
     made, kept = built("layers", 3)
     again, anew = built("recomputed", 3)
