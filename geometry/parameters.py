@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -22,16 +23,19 @@ def require_known(source: str, given: Iterable[str], known: Iterable[str]) -> No
 
 
 def number(value: Any, key: str) -> float:
-    """A real number.
+    """A finite real number.
 
     Raises
     ------
     InputError : it is none.
     """
     try:
-        return float(value)
+        found = float(value)
     except (TypeError, ValueError):
-        raise InputError(f"{key} must be a number, not {value!r}") from None
+        found = math.nan
+    if not math.isfinite(found):
+        raise InputError(f"{key} must be a number, not {value!r}")
+    return found
 
 
 def truth(value: Any, key: str) -> bool:

@@ -64,7 +64,7 @@ from iga.pictures.skin import Cut
 from iga.progress import QUIET, Progress
 from iga.scaled_jacobian import scale, scaled_jacobian
 from studies.figures import plot_panels
-from studies.meccano_models import DATA
+from studies.meccano_models import DATA, whole_boundary
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
@@ -214,10 +214,10 @@ def _figure_5(shown: _Solids, path: Path) -> None:
     middle = Cut((1.0, 0.0, 0.0), smooth=True), Cut((0.0, -1.0, 0.0), smooth=True)
     parts = [
         ("tetrahedra of the cube", plot_domain(straight_domain(mesh, places), **look)),
-        ("T-mesh", plot_domain(_plain(straight), **look)),
+        ("T-mesh", plot_domain(whole_boundary(straight), **look)),
         ("tetrahedra of the solid", plot_domain(straight_domain(mesh, mapping.nodes), **look)),
-        ("T-spline", plot_domain(_plain(shown.paper), **look)),
-        *(("cut", plot_domain(_plain(shown.paper), cut=plane, **look)) for plane in middle),
+        ("T-spline", plot_domain(whole_boundary(shown.paper), **look)),
+        *(("cut", plot_domain(whole_boundary(shown.paper), cut=plane, **look)) for plane in middle),
     ]
     plot_panels(path, parts, 2)
 
@@ -231,10 +231,5 @@ def _jacobians(shown: _Solids, path: Path) -> None:
     for name, domain in (("T-splines on the cube", shown.paper), ("pillowed, certified", shown.certified)):
         for cut in (None, Cut((0.0, -1.0, 0.0))):
             title = name if cut is None else "cut"
-            parts.append((title, plot_field(_plain(domain), scaled, "scaled Jacobian", cut=cut, **look)))
+            parts.append((title, plot_field(whole_boundary(domain), scaled, "scaled Jacobian", cut=cut, **look)))
     plot_panels(path, parts, 2)
-
-
-def _plain(domain: Domain) -> Domain:
-    """The domain with one name for its whole boundary."""
-    return Domain(domain.space, domain.points, {"boundary": domain.boundaries["boundary"]})

@@ -37,7 +37,7 @@ from iga.pictures.plot import plot_domain
 from iga.pictures.skin import Cut
 from iga.progress import Progress
 from studies.figures import plot_panels
-from studies.meccano_models import DATA
+from studies.meccano_models import DATA, whole_boundary
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
@@ -131,16 +131,11 @@ def _draw(made: dict[str, Domain], path: Path) -> None:
         tmesh = from_arrays(made["pillowed"].provenance.arrays)
         space = hierarchy(tmesh)
         straight = bare(space, place(tmesh.blocks, *greville_points(space)))
-        parts.append(("pillowed polycube", plot_domain(_plain(straight), **look)))
+        parts.append(("pillowed polycube", plot_domain(whole_boundary(straight), **look)))
     for kind, domain in made.items():
-        parts.append((kind, plot_domain(_plain(domain), **look)))
+        parts.append((kind, plot_domain(whole_boundary(domain), **look)))
         # Across the shortest extent, where the holes show.
         normal = np.zeros(3)
         normal[np.ptp(domain.points, axis=0).argmin()] = 1.0
-        parts.append((f"{kind}, cut", plot_domain(_plain(domain), cut=Cut(normal.tolist()), **look)))
+        parts.append((f"{kind}, cut", plot_domain(whole_boundary(domain), cut=Cut(normal.tolist()), **look)))
     plot_panels(path, parts, 3)
-
-
-def _plain(domain: Domain) -> Domain:
-    """The domain with one name for its whole boundary."""
-    return Domain(domain.space, domain.points, {"boundary": domain.boundaries["boundary"]})

@@ -95,6 +95,11 @@ def _draw(domain: Domain, path: Path) -> None:
     plot_domain(domain, path)
 
 
+def whole_boundary(domain: Domain) -> Domain:
+    """The domain with one name for its whole boundary, so that pictures show it in one colour."""
+    return Domain(domain.space, domain.points, {"boundary": domain.boundaries["boundary"]})
+
+
 def _genus(domain: Domain) -> int:
     """Genus of the meccano: 1 - chi / 2 of its boundary, a closed surface of quadrilaterals."""
     blocks = from_arrays(domain.provenance.arrays).blocks

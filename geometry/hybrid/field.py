@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from geometry.closest import closest
 from geometry.hybrid.filling import LIMIT, fill
 from geometry.hybrid.shell import Shell
 from iga.assembly import matrix
@@ -103,9 +104,8 @@ def field_under(shell: Shell, limit: float = LIMIT, middle: Array | None = None)
     for f in range(4):
         outer[tets[neighbours[:, f] < 0][:, faces[f]]] = True
     distance = np.zeros(len(points))
-    corner = shell.vertices[triangles]
     inside = np.flatnonzero(~outer)
-    distance[inside] = distances(points[inside], corner)
+    distance[inside] = closest(shell.vertices, triangles, points[inside])[1]
     chosen = _ridges(points, tets, distance, outer) if middle is None else _near(points, tets, middle, outer)
     if not chosen.any():
         raise InputError("no vertex inside the skin is of the mid-structure")
@@ -187,57 +187,6 @@ def _gradients(points: Array, tets: Index, u: Array) -> Array:
         np.add.at(result, tets[:, k], volume[:, None] * gradient)
         np.add.at(total, tets[:, k], volume)
     return np.asarray(result / total[:, None])
-
-
-def distances(x: Array, corner: Array) -> Array:
-    """Distance (q,) of points to triangles (t, 3, 3)."""
-    centre = corner.mean(axis=1)
-    reach = np.linalg.norm(corner - centre[:, None], axis=2).max(axis=1)
-    first = cKDTree(centre).query(x)[1]
-    return np.asarray(_distances(np.ascontiguousarray(x), np.ascontiguousarray(corner), centre, reach, first))
-
-
-@njit(cache=True)
-def _distances(x: Any, corner: Any, centre: Any, reach: Any, first: Any) -> Any:
-    result = np.empty(len(x))
-    for i in range(len(x)):
-        best = _to_triangle(x[i], corner[first[i]])
-        for t in range(len(corner)):
-            d = 0.0
-            for c in range(3):
-                d += (x[i, c] - centre[t, c]) ** 2
-            limit = best + reach[t]
-            if d < limit * limit:
-                best = min(best, _to_triangle(x[i], corner[t]))
-        result[i] = best
-    return result
-
-
-@njit(cache=True)
-def _to_triangle(x: Any, corner: Any) -> Any:
-    """Distance of a point to a triangle: to its plane if the foot lies inside, else to an edge."""
-    a, b, c = corner[0], corner[1], corner[2]
-    u, v, w = b - a, c - a, x - a
-    n = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
-    area = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2) + 1e-300
-    n = n / area
-    inside = True
-    best = np.inf
-    for k in range(3):
-        p, q = corner[k], corner[(k + 1) % 3]
-        e, r = q - p, x - p
-        side = (
-            (e[1] * r[2] - e[2] * r[1]) * n[0] + (e[2] * r[0] - e[0] * r[2]) * n[1] + (e[0] * r[1] - e[1] * r[0]) * n[2]
-        )
-        if side < 0.0:
-            inside = False
-        t = (e[0] * r[0] + e[1] * r[1] + e[2] * r[2]) / (e[0] ** 2 + e[1] ** 2 + e[2] ** 2 + 1e-300)
-        t = min(1.0, max(0.0, t))
-        d = r - t * e
-        best = min(best, np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2))
-    if inside:
-        return abs(w[0] * n[0] + w[1] * n[1] + w[2] * n[2])
-    return best
 
 
 def paths(field: Field, starts: Index, directions: Array, samples: int = 17) -> tuple[Array, Array]:

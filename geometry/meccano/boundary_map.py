@@ -23,7 +23,7 @@ from geometry.meccano.layout import SQUARE, Layout, patch_loop, round_corners
 from geometry.meccano.mean_value import area_stretch, flipped, mean_value
 from geometry.meccano.paths import without_chords
 from geometry.meccano.surface import Surface
-from geometry.meccano.tree import Tree, triangle_tree
+from geometry.tree import Tree, triangle_tree
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 

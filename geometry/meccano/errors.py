@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.distance import closest, samples
+from geometry.closest import closest
+from geometry.meccano.distance import samples
 from geometry.meccano.skin import Skin, values_at
 from geometry.meccano.surface import Surface, area_vectors
 

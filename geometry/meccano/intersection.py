@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from geometry.meccano.tree import Tree, triangle_tree
+from geometry.tree import Tree, triangle_tree
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

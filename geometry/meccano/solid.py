@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
+from geometry.closest import closest
 from geometry.meccano.blocks import place
 from geometry.meccano.collocation import prolongation
-from geometry.meccano.distance import closest
 from geometry.meccano.errors import Errors, errors_of, feet, surface_samples, unit_normals
 from geometry.meccano.fitting import fit_boundary, greville_points
 from geometry.meccano.hierarchical import Hierarchy, hierarchy

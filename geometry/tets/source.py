@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.parameters import number, truth
 from geometry.tets.domain import SOURCE, as_degenerate_hexes, as_tets, check_convert, domain_of
 from geometry.tets.mesh import TetMesh
 from geometry.tets.reader import SURFACES, extensions, read_tets
@@ -68,8 +69,8 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     chosen = {**known, **parameters}
     convert = str(chosen["convert"]).lower()
     degree = None if chosen["degree"] is None else _whole(chosen["degree"], "degree")
-    angle = None if chosen["angle"] is None else _number(chosen["angle"], "angle")
-    tags = _truth(chosen["tags"], "tags")
+    angle = None if chosen["angle"] is None else number(chosen["angle"], "angle")
+    tags = truth(chosen["tags"], "tags")
     check_convert(convert)
     mesh = shape(_whole(chosen["n"], "n"), degree or 2) if shape else read_tets(path, tags=tags)
     try:
@@ -113,20 +114,3 @@ def _whole(value: Any, key: str) -> int:
     except (TypeError, ValueError, OverflowError):
         pass
     raise InputError(f"{key} must be a whole number from 1 on, not {value!r}")
-
-
-def _number(value: Any, key: str) -> float:
-    try:
-        number_ = float(value)
-        if np.isfinite(number_):
-            return number_
-    except (TypeError, ValueError):
-        pass
-    raise InputError(f"{key} must be a number, not {value!r}")
-
-
-def _truth(value: Any, key: str) -> bool:
-    words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-    if str(value).lower() not in words:
-        raise InputError(f"{key} must be true or false, not {value!r}")
-    return words[str(value).lower()]

@@ -7,7 +7,8 @@ import importlib.util
 import numpy as np
 import pytest
 
-from geometry.hybrid.field import distances, field_under, paths, skeleton
+from geometry.closest import closest
+from geometry.hybrid.field import field_under, paths, skeleton
 from geometry.hybrid.layers import _meet, complete_with_layers, directions, inner_shell, valid_layers, ways_of
 from geometry.hybrid.refinement import refine
 from iga.assembly import integral, volume
@@ -116,7 +117,7 @@ def field():
 def test_field_rises_from_the_skin_to_the_mid_structure(field):
     """In a prism of three times its radius the mid-structure is near the axis, away from the ends."""
     shell = tube()
-    away = distances(np.array([[0.0, 0.0, 1.5], [0.2, 0.0, 0.1]]), shell.vertices[skeleton(shell)])
+    away = closest(shell.vertices, skeleton(shell), np.array([[0.0, 0.0, 1.5], [0.2, 0.0, 0.1]]))[1]
     assert away == pytest.approx([np.cos(np.pi / 6), 0.1], rel=1e-12)
     middle = field.points[field.middle]
     assert np.hypot(middle[:, 0], middle[:, 1]).max() < 0.45

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from geometry.meccano.distance import closest, distances, samples
+from geometry.closest import closest
+from geometry.meccano.distance import distances, samples
 from geometry.meccano.surface import Surface, checked_surface, genus, volume
 from geometry.meccano.surface_file import read_surface, reads
 from iga.errors import FormatError, InputError
