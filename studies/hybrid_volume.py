@@ -27,10 +27,11 @@ from numpy.typing import NDArray
 
 from geometry.hybrid import shapes
 from geometry.hybrid.field import field_under
-from geometry.hybrid.layers import complete_with_layers, moved, valid_layers, ways_of
+from geometry.hybrid.layers import complete_with_layers, moved, valid_layers
 from geometry.hybrid.shell import Shell, shell_of
 from geometry.hybrid.skin import build_skin
 from geometry.hybrid.subdividing import refined
+from geometry.hybrid.ways import ways_of
 from iga.block import bezier_coefficients
 from iga.certificate import certify
 from iga.domain import Domain, counts

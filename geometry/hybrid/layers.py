@@ -10,18 +10,12 @@ layer has the skin's functions and topology again; pyramids stand on its quadril
 
 **Paths.** The vertices are traced along a blend of harmonic gradient and distance (`field`), and the control points of
 layer j lie at the share omega (1 - g_j) of the path, g_j the Greville abscissae. With ``paths="straight"``, and where
-traced layers are not valid, paths are straight: a vertex v moves along w, where n_f . w = -1 for the normals n_f of the
-elements around it in the sense of least squares, an offset of all of them, also at edges and corners. It can go until
-the ball around v + D w with radius D, which touches all of them, meets another point v + q of the skin,
-
-    |q - D w|^2 = D^2,
-
-an estimate of the distance to the mid-structure.
+traced layers are not valid, paths are straight (`ways`).
 
 **Adjustment, separation, relaxation, sealing** (Section 4.2). Neighbouring faces share the functions and the vertices
 of their common edges, so a layer has no gaps along trimming curves by construction; what the least squares do is to
 find control points whose surface moves, on each element, as nearly as possible linearly between its vertices. Layers
-are kept apart by the size of elements: depths of neighbours differ by ``SLOPE`` times their distance at most, which
+are kept apart by the size of elements: depths of neighbours differ by `SLOPE` times their distance at most, which
 scales with the mesh (the paper's fixed epsilon does not, which is what it calls wrinkles). Relaxation moves each
 vertex's shift by ``beta`` towards the mean of its neighbours'.
 
@@ -30,20 +24,19 @@ Axis letters: e element, v vertex, k function of the skin, j layer, s element ac
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import lsqr
 
-from geometry.hybrid.field import Field, field_under, paths
+from geometry.hybrid.field import field_under
 from geometry.hybrid.filling import LIMIT
-from geometry.hybrid.flat_corners import tangents_of
 from geometry.hybrid.shell import Shell
 from geometry.hybrid.subdividing import refined
 from geometry.hybrid.volume import assemble, complete, degree_of, fill_skin
+from geometry.hybrid.ways import Ways, bounded, inward, ways_of
 from geometry.knots import extraction
 from iga.bernstein import bernstein, elevation, functions_at
 from iga.block import Block, Extraction, Patterns, bezier_coefficients, dense_extraction
@@ -58,15 +51,11 @@ Index = NDArray[np.int64]
 
 BETA = 0.2
 """Relaxation: share of a vertex's shift that the mean of its neighbours' replaces."""
-SLOPE = 0.3
-"""Largest difference of depth between neighbours over their distance."""
 _TRIES = 3
 LOWER = 0.7
 """Factor of the depth around elements that are not certified."""
 STUBBORN = 0.4
 """Factor below which a vertex leaves its path for the straight one."""
-LONGEST = 2.0
-"""Largest |w|: sharp edges move less than a full offset."""
 
 
 def inner_shell(shell: Shell, omega: float) -> tuple[Shell, Array]:
@@ -80,40 +69,8 @@ def inner_shell(shell: Shell, omega: float) -> tuple[Shell, Array]:
     -------
     The shell, and the displacement of each function's control point (n, 3).
     """
-    w = directions(shell)
-    depth = omega * _bounded(shell.vertices, _meet(shell.vertices, w, _targets(shell)), _edges(shell))
-    D = _displacement(shell, depth[:, None] * w)
+    D = _displacement(shell, omega * ways_of(shell, None).straight)
     return moved(shell, D), D
-
-
-@dataclass(frozen=True, eq=False)
-class Ways:
-    """Paths inwards from the vertices of a shell.
-
-    Attributes
-    ----------
-    places : (v, s, 3) points on the paths, equally spaced by length.
-    lengths : (v,)
-    straight : (v, 3) displacement that `directions` and the largest ball allow.
-    edges : (k, 2) vertices that are joined.
-    """
-
-    places: Array
-    lengths: Array
-    straight: Array
-    edges: Index
-
-
-def ways_of(shell: Shell, field: Field | None) -> Ways:
-    """Paths along a field, or straight ones without."""
-    w = directions(shell)
-    edges = _edges(shell)
-    straight = _bounded(shell.vertices, _meet(shell.vertices, w, _targets(shell)), edges)[:, None] * w
-    if field is None:
-        places = np.stack([shell.vertices, shell.vertices + straight], axis=1)
-        return Ways(places, np.linalg.norm(straight, axis=1), straight, edges)
-    unit = w / np.linalg.norm(w, axis=1, keepdims=True)
-    return Ways(*paths(field, np.arange(len(w)), unit), straight, edges)
 
 
 def traced(
@@ -133,8 +90,8 @@ def traced(
     (j, n, 3)
     """
     rows = np.arange(len(shell.vertices))
-    depth = _bounded(shell.vertices, scale * omega * ways.lengths, ways.edges)
-    good = _inward(shell, ways, depth) & (scale > STUBBORN)
+    depth = bounded(shell.vertices, scale * omega * ways.lengths, ways.edges)
+    good = inward(shell, ways, depth) & (scale > STUBBORN)
     reach = np.linalg.norm(ways.straight, axis=1)
     plain = np.minimum(1.0, np.minimum(depth, scale * omega * reach) / (reach + 1e-300))[:, None] * ways.straight
     degree = np.bincount(ways.edges.ravel(), minlength=len(rows))[:, None]
@@ -181,24 +138,6 @@ def valid_layers(
     return D, scale, len(left)
 
 
-def _inward(shell: Shell, ways: Ways, depth: Array) -> NDArray[np.bool_]:
-    """Which paths (v,) lead inwards from all elements around their vertices, at least half as well as w does."""
-    skin = tangents_of(shell)
-    count = len(shell.vertices)
-    places, lengths = ways.places, ways.lengths
-    longest = np.linalg.norm(directions(shell), axis=1)[skin.vertex]
-    at = np.clip(np.rint(depth / (lengths + 1e-300) * (places.shape[1] - 1)).astype(np.int64), 1, places.shape[1] - 1)
-    good = lengths > 0.0
-    for part in (1, 2):  # at half the depth, and at the whole
-        spot = places[np.arange(count), np.maximum(at * part // 2, 1)] - shell.vertices
-        spot = spot / (np.linalg.norm(spot, axis=1, keepdims=True) + 1e-300)
-        inward = -np.einsum("ec,ec->e", skin.normal, spot[skin.vertex]) * longest
-        least = np.full(count, np.inf)
-        np.minimum.at(least, skin.vertex, inward)
-        good &= least > 0.5
-    return np.asarray(good)
-
-
 def moved(shell: Shell, displacement: Array) -> Shell:
     """Shell with moved control points."""
     points = shell.points + displacement
@@ -216,72 +155,6 @@ def _displacement(shell: Shell, shift: Array) -> Array:
         for block, corners in zip(shell.space.blocks, shell.corners)
     ]
     return _fit(list(shell.space.blocks), values, shell.space.n)
-
-
-def directions(shell: Shell) -> Array:
-    """Direction w (v, 3) of each vertex."""
-    skin = tangents_of(shell)
-    count = len(shell.vertices)
-    A, b = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    np.add.at(A, skin.vertex, skin.normal[:, :, None] * skin.normal[:, None, :])
-    np.add.at(b, skin.vertex, -skin.normal)
-    times = np.bincount(skin.vertex, minlength=count)[:, None]
-    mean = b / times
-    ridge = 1e-3  # where all normals are equal to within a degree or two, w is their mean
-    w = np.linalg.solve(A / times[:, :, None] + ridge * np.eye(3), ((1.0 + ridge) * mean)[:, :, None])[:, :, 0]
-    length = np.linalg.norm(w, axis=1, keepdims=True)
-    return np.asarray(w * np.minimum(1.0, LONGEST / length))
-
-
-def _targets(shell: Shell) -> Array:
-    """Points that the layers keep away from: vertices, and middles of edges and elements."""
-    found = [shell.vertices]
-    for block, corners in zip(shell.space.blocks, shell.corners):
-        found += [shell.vertices[corners].mean(axis=1)]
-        ends = corners[:, block.basis.cell.edges].reshape(-1, 2)
-        found += [shell.vertices[np.unique(np.sort(ends, axis=1), axis=0)].mean(axis=1)]
-    return np.concatenate(found)
-
-
-def _edges(shell: Shell) -> Index:
-    ends = [c[:, b.basis.cell.edges].reshape(-1, 2) for b, c in zip(shell.space.blocks, shell.corners)]
-    return np.unique(np.sort(np.concatenate(ends), axis=1), axis=0)
-
-
-def _bounded(vertices: Array, depth: Array, edges: Index) -> Array:
-    """Depths (v,) lowered until those of neighbours differ by a share of their distance at most."""
-    depth = depth.copy()
-    length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
-    for _ in range(len(vertices)):
-        before = depth.copy()
-        np.minimum.at(depth, edges[:, 0], before[edges[:, 1]] + SLOPE * length)
-        np.minimum.at(depth, edges[:, 1], before[edges[:, 0]] + SLOPE * length)
-        if np.array_equal(before, depth):
-            break
-    return depth
-
-
-@numba.njit(cache=True)
-def _meet(vertices, w, targets):  # type: ignore[no-untyped-def]
-    """Smallest D > 0 with |q - D w| = D over targets v + q in front of each vertex."""
-    result = np.full(len(vertices), np.inf)
-    for v in range(len(vertices)):
-        a = w[v, 0] ** 2 + w[v, 1] ** 2 + w[v, 2] ** 2 - 1.0
-        for t in range(len(targets)):
-            b, c = 0.0, 0.0
-            for k in range(3):
-                q = targets[t, k] - vertices[v, k]
-                b += q * w[v, k]
-                c += q * q
-            # Points beside the vertex, to within the error of its normals, are no obstacle.
-            if b <= 0.05 * np.sqrt(c) or b * b <= 1.02 * a * c:
-                continue
-            if abs(a) < 1e-9:
-                D = c / (2.0 * b)
-            else:
-                D = c / (b + np.sqrt(b * b - a * c))
-            result[v] = min(result[v], D)
-    return result
 
 
 def _fit(blocks: list[Block], values: list[Array], n: int) -> Array:

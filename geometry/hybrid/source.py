@@ -126,9 +126,7 @@ def _built(brep: Brep, settings: Settings, source: str, shown: Progress) -> tupl
     made = perf_counter()
     provenance = Provenance(NAME, source, {k: v for k, v in vars(settings).items() if v is not None})
     shell = shell_of(skin)
-    domain = volume_under(shell, settings, source, provenance, shown)
-    for _ in range(domain.report["subdivided"]):
-        shell = subdivided(shell)
+    shell, domain = volume_under(shell, settings, source, provenance, shown)
     distance = skin.report.get("max_distance")
     told = {key: value for key, value in skin.report.items() if key not in ("volume", "elements", "max_distance")}
     stages = {"skin": made - began, "inside": perf_counter() - made}
@@ -161,9 +159,9 @@ def _refined(
 
 def volume_under(
     shell: Shell, settings: Settings, source: str, provenance: Provenance, shown: Progress = QUIET
-) -> Domain:
+) -> tuple[Shell, Domain]:
     """Volume under a shell, its elements cut as often as the settings say, or once more where that is left open and
-    elements are not certified.
+    elements are not certified; and the shell as it was cut.
     """
     count = sum(block.elements for block in shell.space.blocks)
     times = settings.subdivide if settings.subdivide is not None else int(count < FEW)
@@ -171,13 +169,14 @@ def volume_under(
         shell = subdivided(shell)
     first = _attempt(shell, settings, source, provenance, shown)
     if (isinstance(first, Domain) and not first.report["not_certified"]) or settings.subdivide is not None:
-        return _told(first, times)
-    second = _attempt(subdivided(shell), settings, source, provenance, shown)
+        return shell, _told(first, times)
+    finer = subdivided(shell)
+    second = _attempt(finer, settings, source, provenance, shown)
     if isinstance(second, Domain) and (
         not isinstance(first, Domain) or second.report["not_certified"] < first.report["not_certified"]
     ):
-        return _told(second, times + 1)
-    return _told(first, times)
+        return finer, _told(second, times + 1)
+    return shell, _told(first, times)
 
 
 def _layered(

@@ -9,8 +9,9 @@ import pytest
 
 from geometry.closest import closest
 from geometry.hybrid.field import field_under, paths, skeleton
-from geometry.hybrid.layers import _meet, complete_with_layers, directions, inner_shell, valid_layers, ways_of
+from geometry.hybrid.layers import complete_with_layers, inner_shell, valid_layers
 from geometry.hybrid.refinement import refine
+from geometry.hybrid.ways import _meet, directions, ways_of
 from iga.assembly import integral, volume
 from iga.certificate import certify
 from iga.domain import check, counts
