@@ -51,6 +51,11 @@ class Space:
     weights: Array | None = None
     constraint: csr_array | None = None
 
+    @property
+    def elements(self) -> int:
+        """Number of elements of all blocks."""
+        return sum(block.elements for block in self.blocks)
+
 
 @dataclass(frozen=True, eq=False)
 class Facets:

@@ -109,7 +109,7 @@ def _row(
     smooth = skin < SMOOTH
     depth = np.linalg.norm(inner.vertices - shell.vertices, axis=1).mean() / inside
     return {
-        "model": name, "way": way, "level": level, "elements": sum(b.elements for b in shell.space.blocks),
+        "model": name, "way": way, "level": level, "elements": shell.space.elements,
         "middle": middle, "depth": float(depth), "lowered": None if scale is None else int((scale < 1.0).sum()),
         "folded": left, "wrinkle": float(np.rad2deg(layer[smooth].max())),
         "bend": float(np.rad2deg(layer[smooth].mean())),

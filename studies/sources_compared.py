@@ -146,18 +146,14 @@ def _rows(model: str, name: str, way: Way, size: Size) -> tuple[list[dict[str, V
         proof = quality(domain)
         found = solve_exact(domain, "heat", exact)[1]
         rows.append({
-            "model": model, "way": name, "level": level, "degree": max_degree(domain), "elements": _elements(domain),
-            "functions": domain.space.n,
+            "model": model, "way": name, "level": level, "degree": max_degree(domain),
+            "elements": domain.space.elements, "functions": domain.space.n,
             "not_certified": proof["refuted"] + proof["undecided"] + proof["degenerate"],
             "size": 0.5**level, **kept, "l2_error": found["relative_l2_error"],
             "h1_error": found["relative_h1_error"], "theory": way.theory, "build": build,
             "solve": found["assemble_s"] + found["solve_s"],
         })  # fmt: skip
     return rows, domain
-
-
-def _elements(domain: Domain) -> int:
-    return sum(block.elements for block in domain.space.blocks)
 
 
 def _shape(domain: Domain) -> dict[str, Value]:

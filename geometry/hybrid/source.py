@@ -163,8 +163,7 @@ def volume_under(
     """Volume under a shell, its elements cut as often as the settings say, or once more where that is left open and
     elements are not certified; and the shell as it was cut.
     """
-    count = sum(block.elements for block in shell.space.blocks)
-    times = settings.subdivide if settings.subdivide is not None else int(count < FEW)
+    times = settings.subdivide if settings.subdivide is not None else int(shell.space.elements < FEW)
     for _ in range(times):
         shell = subdivided(shell)
     first = _attempt(shell, settings, source, provenance, shown)

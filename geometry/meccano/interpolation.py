@@ -131,16 +131,6 @@ def _condition(A: csr_array, factors: object) -> float:
     return float(np.sqrt(largest * least))
 
 
-def _b_splines(knots: Array, x: Array) -> Array:
-    """Values (m,) of cubic B-splines with knots (m, 5)."""
-    N = ((knots[:, :-1] <= x[:, None]) & (x[:, None] < knots[:, 1:])).astype(np.float64)
-    for p in range(1, 4):
-        rising = (x[:, None] - knots[:, : 4 - p]) / (knots[:, p:4] - knots[:, : 4 - p])
-        falling = (knots[:, p + 1 :] - x[:, None]) / (knots[:, p + 1 :] - knots[:, 1 : 5 - p])
-        N = rising * N[:, :-1] + falling * N[:, 1:]
-    return N[:, 0]
-
-
 @njit(cache=True)
 def _b_spline(knots, x, N):  # type: ignore[no-untyped-def]
     """Value and derivative of the cubic B-spline with knots (5,), 3 (N_0 / (k3 - k0) - N_1 / (k4 - k1)); N is room."""
@@ -153,6 +143,15 @@ def _b_spline(knots, x, N):  # type: ignore[no-untyped-def]
             )
     low, high = N[0] / (knots[3] - knots[0]), N[1] / (knots[4] - knots[1])
     return (x - knots[0]) * low + (knots[4] - x) * high, 3.0 * (low - high)
+
+
+@njit(cache=True)
+def _b_splines(knots, x):  # type: ignore[no-untyped-def]
+    """Values (m,) of cubic B-splines with knots (m, 5)."""
+    N, values = np.empty(4), np.empty(len(x))
+    for m in range(len(x)):
+        values[m] = _b_spline(knots[m], x[m], N)[0]
+    return values
 
 
 @njit(cache=True)

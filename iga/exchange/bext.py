@@ -80,7 +80,7 @@ def write_bext(path: str | Path, domain: Domain) -> Path:
         heads.append(_integers(np.array([[1, block.elements, block.n, block.n, *block.basis.degree]])))
     weights = np.ones(space.n) if space.weights is None else space.weights
     total = sum(len(v) for v, _ in vectors)
-    count = sum(block.elements for block in space.blocks)
+    count = space.elements
     head = np.array([[1, space.n, count, total, int(space.weights is not None)]])
     text = [
         MAGIC + "\n",

@@ -308,7 +308,7 @@ def _clipped(shown: _Shown, skin: Skin, plane: Plane, n: int) -> Skin:
         fields["shown"] = Field(shown.space, quantity) if isinstance(quantity, np.ndarray) else quantity
     if shown.warp is not None:
         fields["moved"] = shown.warp
-    count = sum(block.elements for block in shown.domain.space.blocks)
+    count = shown.domain.space.elements
     fine = int(np.clip((TRIANGLES / max(count, 1)) ** (1 / 3), 1, 10))
     volume = pv.wrap(linear_grid(replace(shown.domain, attributes={}), fields, fine))
     if shown.warp is not None:
