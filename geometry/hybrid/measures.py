@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.crossing import crossing_pairs
 from geometry.hybrid.assembling import Assembled, Part
 from geometry.hybrid.brep import Brep
-from geometry.hybrid.crossing import crossing_pairs
 from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import BICUBIC
 from geometry.hybrid.grid import count_intervals

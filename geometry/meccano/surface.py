@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geometry.meccano.intersection import first_crossing
+from geometry.crossing import crossing_pairs
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -153,12 +153,12 @@ def checked_surface(points: Array, triangles: Index, crossings: bool = False) ->
     if size < 0:
         surface = Surface(surface.points, np.ascontiguousarray(surface.triangles[:, ::-1]))
         report["turned"] = "the triangles faced inwards and were turned round"
-    crossing = first_crossing(surface.points, surface.triangles)
-    if crossing is not None and crossings:
-        report["crossing_pairs"] = crossing[2]
-    elif crossing is not None:
+    pairs = crossing_pairs(surface.points, surface.triangles)
+    if len(pairs) and crossings:
+        report["crossing_pairs"] = len(pairs)
+    elif len(pairs):
         raise InputError(
-            f"triangles {crossing[0]} and {crossing[1]} cross each other ({crossing[2]} such pairs in all); "
+            f"triangles {pairs[0, 0]} and {pairs[0, 1]} cross each other ({len(pairs)} such pairs in all); "
             "give a surface that does not intersect itself"
         )
     report |= {

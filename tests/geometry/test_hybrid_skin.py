@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from geometry.crossing import crossing_pairs
 from geometry.hybrid import read_cad, shapes
 from geometry.hybrid.brep import Brep, surface_points
 from geometry.hybrid.chart import make_chart, to_chart, to_parameters
-from geometry.hybrid.crossing import crossing_pairs
 from geometry.hybrid.curves import bezier_points, fit_cubics
 from geometry.hybrid.skin import Skin, build_skin
 from geometry.hybrid.triangulation import triangulate

@@ -1,11 +1,11 @@
-"""Pairs of triangles of a surface that cross each other.
+"""Pairs of triangles in space that cross each other.
 
 Two triangles cross if an edge of one goes from one side of the other's plane to the other side through the closed
 triangle. Signs are those of volumes of tetrahedra with a bound on their rounding error; a volume within the bound
 counts as zero and as no crossing, so that what only touches (or is smaller than rounding) is let pass. Neighbours at
 an edge cross if they are folded flat onto one another.
 
-Axis letters: t triangle.
+Axis letters: v vertex, t triangle, k pair.
 """
 
 from __future__ import annotations
@@ -20,11 +20,25 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-def first_crossing(points: Array, triangles: Index) -> tuple[int, int, int] | None:
-    """Two triangles that cross each other and the number of such pairs; None if there are none."""
-    corners = points[triangles]
-    one, two, count = _crossings(points, triangles, triangle_tree(corners))
-    return (int(one), int(two), int(count)) if count else None
+def crossing_pairs(points: Array, triangles: Index, owner: Index | None = None, group: Index | None = None) -> Index:
+    """Pairs of triangles that cross each other.
+
+    Parameters
+    ----------
+    points : (v, 3)
+    triangles : (t, 3)
+    owner : (t,) triangles of equal owner >= 0 are not tested against each other; all are if not given.
+    group : (t,) pairs with a triangle of group 0 are tested, others are not; all are if not given.
+
+    Returns
+    -------
+    (k, 2) numbers of triangles, the smaller first, in ascending order.
+    """
+    owner = np.full(len(triangles), -1) if owner is None else owner
+    group = np.zeros(len(triangles), dtype=np.int64) if group is None else group
+    found = _crossings(points, triangles, owner, group, triangle_tree(points[triangles]))
+    pairs = np.asarray(found, dtype=np.int64).reshape(-1, 2)
+    return pairs[np.lexsort(pairs.T[::-1])]
 
 
 @njit(cache=True)
@@ -91,8 +105,9 @@ def _folded(points: Array, s: Index, t: Index) -> bool:
 
 
 @njit(cache=True)
-def _crossings(points: Array, triangles: Index, tree: Tree) -> tuple[int, int, int]:
-    count, first, second = 0, -1, -1
+def _crossings(points: Array, triangles: Index, owner: Index, group: Index, tree: Tree) -> Index:
+    found = [0]
+    found.pop()
     stack = np.empty(128, dtype=np.int64)
     for s in range(len(triangles)):
         lo, hi = np.empty(3), np.empty(3)
@@ -115,8 +130,9 @@ def _crossings(points: Array, triangles: Index, tree: Tree) -> tuple[int, int, i
                 continue
             for k in range(tree.begin[node], tree.end[node]):
                 t = tree.order[k]
-                if t > s and _cross(points, triangles[s], triangles[t]):
-                    if count == 0:
-                        first, second = s, t
-                    count += 1
-    return first, second, count
+                if t <= s or (group[s] != 0 and group[t] != 0) or (owner[s] >= 0 and owner[s] == owner[t]):
+                    continue
+                if _cross(points, triangles[s], triangles[t]):
+                    found.append(s)
+                    found.append(t)
+    return np.array(found)
