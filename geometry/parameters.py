@@ -38,6 +38,24 @@ def number(value: Any, key: str) -> float:
     return found
 
 
+def whole(value: Any, key: str, least: int = 0, most: int | None = None) -> int:
+    """A whole number, not below ``least`` nor above ``most``.
+
+    Raises
+    ------
+    InputError : it is none.
+    """
+    try:
+        real = float(value)
+        found = int(real) if real == int(real) else least - 1
+    except (TypeError, ValueError, OverflowError):
+        found = least - 1
+    if found < least or (most is not None and found > most):
+        bounds = f"from {least} on" if most is None else f"from {least} to {most}"
+        raise InputError(f"{key} must be a whole number {bounds}, not {value!r}")
+    return found
+
+
 def truth(value: Any, key: str) -> bool:
     """A truth value.
 

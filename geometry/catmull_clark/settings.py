@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.parameters import number, require_known, require_one_of, truth
+from geometry.parameters import number, require_known, require_one_of, truth, whole
 from iga.errors import FormatError, InputError
 
 Given = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -56,7 +56,7 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
     made: dict[str, Any] = {}
     for key, value in renamed.items():
         if key == "depth":
-            made[key] = None if str(value) == "auto" else _whole(value)
+            made[key] = None if str(value) == "auto" else whole(value, key, most=6)
         elif key in ("repair", "pillow", "bound"):
             made[key] = truth(value, key)
         elif key in ("lam", "mu", "gamma"):
@@ -120,13 +120,3 @@ def read_features(path: Path) -> Given:
             raise FormatError(f"{path.name}, line {place}: {shown!r} is neither an edge (two vertices) nor a corner")
         (edges if len(words) == 2 else corners).append([int(word) for word in words])
     return np.array(edges, dtype=np.int64).reshape(-1, 2), np.array(corners, dtype=np.int64).ravel()
-
-
-def _whole(value: Any) -> int:
-    try:
-        depth = int(str(value))
-    except ValueError:
-        depth = -1
-    if not 0 <= depth <= 6:
-        raise InputError(f"depth must be auto or a whole number from 0 to 6, not {value!r}")
-    return depth

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from geometry.parameters import number, require_known
+from geometry.parameters import number, require_known, whole
 from iga.errors import InputError
 
 NAME = "hybrid"
@@ -68,10 +68,7 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
         elif key in ("size", "tolerance", "omega", "limit", "relax"):
             made[key] = number(value, key)
         else:
-            found = number(value, key)
-            if found != int(found):
-                raise InputError(f"{key} must be a whole number, not {value!r}")
-            made[key] = int(found)
+            made[key] = whole(value, key)
         low, high = _RANGES[key]
         if made[key] is not None and not low <= made[key] <= high:
             raise InputError(f"{key} must lie between {low:g} and {high:g}, not {value!r}")

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from geometry.parameters import number, require_known, require_one_of, truth
+from geometry.parameters import number, require_known, require_one_of, truth, whole
 from iga.errors import InputError
 
 NAME = "meccano"
@@ -56,7 +56,7 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
         if key == "mend":
             made[key] = truth(value, key)
         elif key in ("max_cells", "rounds", "smoothing"):
-            made[key] = _whole(value, key)
+            made[key] = whole(value, key)
         elif key in ("tolerance", "stretch", "share"):
             made[key] = number(value, key)
         else:
@@ -73,13 +73,3 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
             key = "tolerance" if key == "aim" else key
             raise InputError(f"{key} must lie between {low:g} and {high:g}, not {getattr(settings, key):g}")
     return settings
-
-
-def _whole(value: Any, key: str) -> int:
-    try:
-        found = int(str(value))
-    except ValueError:
-        found = -1
-    if found < 0:
-        raise InputError(f"{key} must be a whole number that is not negative, not {value!r}")
-    return found

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.parameters import number, truth
+from geometry.parameters import number, truth, whole
 from geometry.tets.domain import SOURCE, as_degenerate_hexes, as_tets, check_convert, domain_of
 from geometry.tets.mesh import TetMesh
 from geometry.tets.reader import SURFACES, extensions, read_tets
@@ -68,11 +68,11 @@ def build(path: str | Path, **parameters: Any) -> Domain:
         raise InputError(f"the source tets has no parameter {unknown[0]!r}; there are: {', '.join(known)}")
     chosen = {**known, **parameters}
     convert = str(chosen["convert"]).lower()
-    degree = None if chosen["degree"] is None else _whole(chosen["degree"], "degree")
+    degree = None if chosen["degree"] is None else whole(chosen["degree"], "degree", 1)
     angle = None if chosen["angle"] is None else number(chosen["angle"], "angle")
     tags = truth(chosen["tags"], "tags")
     check_convert(convert)
-    mesh = shape(_whole(chosen["n"], "n"), degree or 2) if shape else read_tets(path, tags=tags)
+    mesh = shape(whole(chosen["n"], "n", 1), degree or 2) if shape else read_tets(path, tags=tags)
     try:
         return domain_of(mesh, convert, degree, angle, source=Path(path).name, tags=tags)
     except InputError as error:
@@ -104,13 +104,3 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
     }
     report = {key: value for key, value in domain.report.items() if key != "quality"}
     return replace(fine, provenance=replace(domain.provenance, parameters=parameters), report=report)
-
-
-def _whole(value: Any, key: str) -> int:
-    try:
-        number_ = float(value)
-        if number_ == int(number_) and int(number_) >= 1:
-            return int(number_)
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise InputError(f"{key} must be a whole number from 1 on, not {value!r}")
