@@ -26,7 +26,7 @@ def test_settings_from_texts():
     made = parse({"solid": "2", "layers": "4", "omega": "0.75", "subdivide": "auto", "size": 0.1})
     assert (made.solid, made.layers, made.omega, made.subdivide, made.size) == (2, 4, 0.75, None, 0.1)
     for bad, message in (
-        ({"colour": "red"}, "no parameter 'colour'"), ({"layers": "many"}, "layers must be a number"),
+        ({"colour": "red"}, "no parameter 'colour'"), ({"layers": "many"}, "layers must be a whole number"),
         ({"layers": 2.5}, "whole number"), ({"size": 3}, "between"), ({"degree": 2}, "between 3 and 8"),
     ):
         with pytest.raises(InputError, match=message):
