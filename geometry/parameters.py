@@ -56,6 +56,23 @@ def whole(value: Any, key: str, least: int = 0, most: int | None = None) -> int:
     return found
 
 
+def rows(value: Any, key: str, width: int) -> tuple[tuple[float, ...], ...]:
+    """Rows of numbers, given as ``1,2,3; 4,5,6; ..`` or as a sequence of sequences.
+
+    Raises
+    ------
+    InputError : there are none, one of them has not ``width`` numbers, or one is no number.
+    """
+    try:
+        given = [row.split(",") for row in value.split(";")] if isinstance(value, str) else [list(row) for row in value]
+    except TypeError:
+        given = []
+    if not given or any(len(row) != width for row in given):
+        example = ",".join("xyz" if width == 3 else "abcdefgh"[:width])
+        raise InputError(f"{key} must be rows of {width} numbers as {example}; {example}; .., not {value!r}")
+    return tuple(tuple(number(x, key) for x in row) for row in given)
+
+
 def truth(value: Any, key: str) -> bool:
     """A truth value.
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from geometry.parameters import number, require_known, whole
+from geometry.parameters import number, require_known, rows, whole
 from iga.errors import InputError
 
 NAME = "hybrid"
@@ -29,7 +29,7 @@ class Settings:
     refine: int = 0
     strategy: str = "kept"
     paths: str = "blended"
-    mid: tuple[tuple[float, float, float], ...] | None = None
+    mid: tuple[tuple[float, ...], ...] | None = None
     relax: float = 0.2
 
 
@@ -58,7 +58,7 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
         if (key == "subdivide" and str(value) == "auto") or (key == "solid" and value is None):
             made[key] = None
         elif key == "mid":
-            made[key] = None if value is None or str(value) == "auto" else _points(value)
+            made[key] = None if value is None or str(value) == "auto" else rows(value, key, 3)
             continue
         elif key in _WORDS:
             made[key] = str(value).lower()
@@ -73,11 +73,3 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
         if made[key] is not None and not low <= made[key] <= high:
             raise InputError(f"{key} must lie between {low:g} and {high:g}, not {value!r}")
     return Settings(**made)
-
-
-def _points(value: Any) -> tuple[tuple[float, float, float], ...]:
-    """Points from ``x,y,z; x,y,z; ..`` or rows of three numbers."""
-    rows = [row.split(",") for row in value.split(";")] if isinstance(value, str) else [list(row) for row in value]
-    if not rows or any(len(row) != 3 for row in rows):
-        raise InputError(f"mid must be auto, or points as x,y,z; x,y,z; .., not {value!r}")
-    return tuple((number(x, "mid"), number(y, "mid"), number(z, "mid")) for x, y, z in rows)

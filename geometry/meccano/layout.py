@@ -135,6 +135,40 @@ def check(layout: Layout) -> None:
             raise InputError(f"patches {f} and {g} of the surface meet, but not their sides of the meccano")
 
 
+def by_labels(surface: Surface, blocks: Blocks, labels: Index) -> Layout:
+    """A division given by hand: corners are where three or more patches meet.
+
+    Parameters
+    ----------
+    labels : (t,) side of the meccano for each triangle.
+
+    Raises
+    ------
+    InputError : the patches do not lie beside each other as the sides of the meccano.
+    """
+    rows = round_corners(blocks)
+    whole = labels.shape == (len(surface.triangles),) and labels.dtype.kind in "iu"
+    if not whole or not np.isin(labels, range(len(rows))).all():
+        count = len(surface.triangles)
+        raise InputError(f"labels must be one of 0, ..., {len(rows) - 1} for each of the {count} triangles")
+    pairs = np.unique(np.stack([surface.triangles.ravel(), np.repeat(labels, 3)], axis=1), axis=0)
+    around = {frozenset(np.flatnonzero((rows == n).any(axis=1)).tolist()): n for n in np.unique(rows).tolist()}
+    if len(around) < len(np.unique(rows)):
+        raise InputError("two corners of the meccano lie between the same sides: labels do not tell them apart")
+    corner = np.full(blocks.corners.max() + 1, -1, dtype=np.int64)
+    for v in np.flatnonzero(np.bincount(pairs[:, 0]) > 2).tolist():
+        meeting = frozenset(pairs[pairs[:, 0] == v, 1].tolist())
+        if meeting not in around or corner[around[meeting]] >= 0:
+            raise InputError(f"patches {sorted(meeting)} meet at vertex {v}, which is no such corner of the meccano")
+        corner[around[meeting]] = v
+    missing = np.setdiff1d(rows, np.flatnonzero(corner >= 0))
+    if len(missing):
+        raise InputError(f"no vertex is corner {missing[0]} of the meccano: three patches must meet at each")
+    layout = Layout(blocks, surface, labels.astype(np.int64), corner)
+    check(layout)
+    return layout
+
+
 def pieces(surface: Surface, inside: Mask, walls: Index | None) -> Index:
     """Component (t,) of each triangle of a region cut by walls, given as pairs of vertices; -1 outside."""
     joined = inside[surface.beside].all(axis=1)

@@ -22,6 +22,7 @@ from geometry.meccano.boundary_map import BoundaryMap, boundary_map
 from geometry.meccano.layout import (
     Layout,
     borders,
+    by_labels,
     centre_corner,
     check,
     left_of,
@@ -74,9 +75,7 @@ def partition(
         raise InputError(f"a surface of genus {genus(surface)} cannot be divided as a cube's; take a polycube")
     blocks = cube()
     if labels is not None:
-        layout = _from_labels(surface, blocks, np.asarray(labels))
-        check(layout)
-        return layout
+        return by_labels(surface, blocks, np.asarray(labels))
     surface, _ = refined(surface, LEAST_TRIANGLES)
     if corners is None:
         layout = _found(surface, blocks, rounds, progress)
@@ -259,22 +258,3 @@ def _others(left: list[int]) -> list[int]:
 
 def _length(surface: Surface, path: Index) -> float:
     return float(np.linalg.norm(np.diff(surface.points[path], axis=0), axis=1).sum())
-
-
-def _from_labels(surface: Surface, blocks: Blocks, labels: Index) -> Layout:
-    """A division given by hand: corners are where three patches meet."""
-    whole = labels.shape == (len(surface.triangles),) and labels.dtype.kind in "iu"
-    if not whole or not np.isin(labels, range(6)).all():
-        raise InputError(f"labels must be one of 0, ..., 5 for each of the {len(surface.triangles)} triangles")
-    pairs = np.unique(np.stack([surface.triangles.ravel(), np.repeat(labels, 3)], axis=1), axis=0)
-    rows = round_corners(blocks)
-    corner = np.full(8, -1, dtype=np.int64)
-    for v in np.flatnonzero(np.bincount(pairs[:, 0]) > 2).tolist():
-        meeting = set(pairs[pairs[:, 0] == v, 1].tolist())
-        fitting = [n for n in range(8) if {f for f in range(6) if n in rows[f]} == meeting]
-        if not fitting or corner[fitting[0]] >= 0:
-            raise InputError(f"patches {sorted(meeting)} meet at vertex {v}, which is no such corner of a cube")
-        corner[fitting[0]] = v
-    if (corner < 0).any():
-        raise InputError(f"no vertex is corner {int(np.argmin(corner))} of the cube: three patches must meet at each")
-    return Layout(blocks, surface, labels.astype(np.int64), corner)

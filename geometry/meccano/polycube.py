@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from geometry.meccano.blocks import polycube
 from geometry.meccano.boundary_map import BoundaryMap, boundary_map
 from geometry.meccano.drawing import Drawing, layout_of, relax
 from geometry.meccano.frame import frame_of
-from geometry.meccano.layout import Layout, balance
+from geometry.meccano.layout import Layout, balance, by_labels
 from geometry.meccano.paths import refined
 from geometry.meccano.routing import route
 from geometry.meccano.surface import Surface, genus
@@ -21,11 +24,14 @@ from geometry.meccano.wrapping import corner_vertices, wrap
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 
+Index = NDArray[np.int64]
+
 PER_SIDE = 200  # triangles at least for each side of the polycube, so that there is room for its edges
 
 
 def polycube_layout(
-    surface: Surface, voxels: Voxels | None = None, sweeps: int = 8, progress: Progress = QUIET
+    surface: Surface, voxels: Voxels | None = None, sweeps: int = 8, progress: Progress = QUIET,
+    labels: Index | None = None,
 ) -> tuple[Layout, dict[str, Any]]:
     """Divide a surface as the boundary of a polycube.
 
@@ -33,6 +39,7 @@ def polycube_layout(
     ----------
     voxels : the polycube; None to let it be found (`voxelise`). Cuboids given by hand: see `voxels.cuboids`.
     sweeps : how often every corner is moved to the middle of the patches around it.
+    labels : (t,) side of the polycube for each triangle, to give the whole division of given voxels by hand.
 
     Returns
     -------
@@ -49,6 +56,8 @@ def polycube_layout(
     frame = frame_of(blocks)
     if frame.genus != genus(surface):
         raise InputError(f"the polycube has genus {frame.genus}, but the surface has genus {genus(surface)}")
+    if labels is not None:
+        return by_labels(surface, blocks, labels), report
     fine, _ = refined(surface, PER_SIDE * len(frame.sides))
     guides = wrap(fine, frame, place(voxels, frame.places), float(voxels.spacing.mean()))
     corners = corner_vertices(fine, frame, guides)
@@ -58,7 +67,8 @@ def polycube_layout(
 
 
 def polycube_map(
-    surface: Surface, voxels: Voxels | None = None, sweeps: int = 8, progress: Progress = QUIET
+    surface: Surface, voxels: Voxels | None = None, sweeps: int = 8, progress: Progress = QUIET,
+    labels: Index | None = None,
 ) -> tuple[BoundaryMap, dict[str, Any]]:
     """The boundary map of a polycube onto a surface of any genus; see `polycube_layout`.
 
@@ -66,6 +76,6 @@ def polycube_map(
     -------
     The map and the reports of the layout and of `boundary_map`.
     """
-    layout, report = polycube_layout(surface, voxels, sweeps, progress)
+    layout, report = polycube_layout(surface, voxels, sweeps, progress, labels)
     mapping, quality = boundary_map(layout, progress=progress)
     return mapping, report | quality

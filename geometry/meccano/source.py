@@ -15,6 +15,12 @@ r"""The geometry source "meccano": closed surface triangulations as spline volum
                 "distance", a length below the tolerance
     remedy      of the paper's solids: "refine" (default), split cells with a negative centre; "untangle", move inner
                 control points; "none"
+    corners     eight points x,y,z; x,y,z; .. near which the cube's corners shall lie on the surface, in the order of
+                the reference cell's vertices (default: found)
+    labels      a file with the side of the meccano (0 to 5: x0, x1, y0, .. z1 of the cube; rows of
+                `blocks.Blocks.boundary_sides` of a polycube) that each triangle belongs to
+    cuboids     the polycube as boxes i,j,k,I,J,K; .. of whole numbers, lowest and highest corner of each (default:
+                found); the grid is fitted to the surface's bounding box
     mend        repair small defects of the surface first (default false)
 
 The surface is divided into one patch for each boundary side of the meccano, each patch is laid on its side by mean
@@ -47,6 +53,7 @@ from geometry.meccano.shapes import SHAPES
 from geometry.meccano.solid import Aims, solid_of
 from geometry.meccano.surface import Surface, genus, volume
 from geometry.meccano.tmesh import uniform
+from geometry.meccano.voxels import cuboids
 from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
 from iga.progress import QUIET, Progress, progress
@@ -160,6 +167,13 @@ def _as_paper(
 
 def map_of(surface: Surface, settings: Settings, shown: Progress) -> tuple[BoundaryMap, dict[str, Any]]:
     """The boundary map of the meccano before pillowing."""
+    labels = None if settings.labels is None else np.array(settings.labels)
+    if settings.cuboids is not None:
+        voxels = cuboids(surface, np.array(settings.cuboids).reshape(-1, 2, 3))
+        return polycube_map(surface, voxels, progress=shown, labels=labels)
+    if settings.corners is not None or labels is not None:
+        corners = None if settings.corners is None else np.array(settings.corners)
+        return boundary_map(partition(surface, corners, labels, progress=shown), settings.stretch, shown)
     if settings.meccano == "polycube" or (settings.meccano == "auto" and genus(surface) > 0):
         return polycube_map(surface, progress=shown)
     return boundary_map(partition(surface, progress=shown), settings.stretch, shown)

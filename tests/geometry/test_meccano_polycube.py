@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geometry.meccano.blocks import polycube
+from geometry.meccano.blocks import Blocks, polycube
 from geometry.meccano.boundary_map import on_surface
 from geometry.meccano.frame import frame_of
 from geometry.meccano.isotopy import deforms
@@ -17,10 +17,14 @@ from geometry.meccano.layout import borders, check, round_corners
 from geometry.meccano.mean_value import flipped
 from geometry.meccano.overlay import Curve, join, overlay, split, spread
 from geometry.meccano.polycube import polycube_layout, polycube_map
+from geometry.meccano.settings import parse
+from geometry.meccano.source import map_of
 from geometry.meccano.surface import Surface, area_vectors, euler_characteristic, genus, volume
 from geometry.meccano.surface_file import read_surface
 from geometry.meccano.voxels import cuboids, orientation, shares, topology, voxelise
+from iga.cells import HEXAHEDRON
 from iga.errors import InputError
+from iga.progress import QUIET
 
 
 def torus(major: int = 36, minor: int = 18, radius: float = 0.4) -> Surface:
@@ -267,3 +271,57 @@ def test_real_models(data: Path, name: str, handles: int) -> None:
     assert genus(layout.surface) == handles
     assert frame_of(layout.blocks).genus == handles
     assert report["smallest_patch"] > 0.1
+
+
+def boundary_of(blocks: Blocks, n: int) -> tuple[Surface, np.ndarray]:
+    """The boundary of a meccano at its corners' places, n x n squares a side, and the side of each triangle."""
+    corners = blocks.places[round_corners(blocks)]
+    u, v = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), indexing="ij")
+    weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1).reshape(-1, 4)
+    points = np.einsum("qa,fac->fqc", weights, corners).reshape(-1, 3)
+    i = np.arange(n * (n + 1)).reshape(n, n + 1)[:, :n].ravel()
+    squares = np.stack([i, i + n + 1, i + n + 2, i + 1], axis=1)
+    triangles = np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
+    every = (triangles + (n + 1) ** 2 * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
+    distinct, number = np.unique(points.round(9), axis=0, return_inverse=True)
+    return Surface(distinct, number.ravel()[every]), np.repeat(np.arange(len(corners)), len(triangles))
+
+
+def test_a_polycube_and_its_surface_map_may_be_given() -> None:
+    blocks = polycube(cuboids(torus(), RING).cells)
+    surface, labels = boundary_of(blocks, 3)
+    assert genus(surface) == 1
+    settings = parse({"cuboids": "; ".join(",".join(map(str, box.ravel())) for box in RING), "labels": labels.tolist()})
+    mapping, _ = map_of(surface, settings, QUIET)
+    # Every side is laid on its own patch, as straight as that is.
+    side = np.repeat(np.arange(len(labels) // 18), 5)
+    s = np.tile(np.random.default_rng(3).random((5, 2)), (len(labels) // 18, 1))
+    expected = np.einsum("qa,qac->qc", np.stack(
+        [(1 - s[:, 0]) * (1 - s[:, 1]), s[:, 0] * (1 - s[:, 1]), s[:, 0] * s[:, 1], (1 - s[:, 0]) * s[:, 1]], axis=-1
+    ), mapping.blocks.places[round_corners(mapping.blocks)[side]])
+    assert np.abs(on_surface(mapping, side, s)[0] - expected).max() < 1e-9
+    with pytest.raises(InputError, match="no such corner"):
+        polycube_map(surface, cuboids(surface, RING), labels=np.roll(labels, 18))
+    with pytest.raises(InputError, match="one of 0"):
+        polycube_map(surface, cuboids(surface, RING), labels=labels[1:])
+
+
+@pytest.mark.parametrize(("texts", "message"), [
+    ({"corners": "1,2; 3,4"}, "corners must be rows of 3 numbers"), ({"cuboids": "0,0,0,1,1"}, "rows of 6 numbers"),
+    ({"labels": "nowhere.txt"}, "labels must be a file"), ({"labels": [1, -2]}, "labels must be a whole number"),
+    ({"corners": "1,2,3", "cuboids": "0,0,0,1,1,1"}, "corners are those of a cube"),
+    ({"corners": "1,2,3", "meccano": "polycube"}, "corners are those of a cube"),
+])
+def test_what_is_given_by_hand_is_checked(texts: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parse(texts)
+
+
+def test_corners_may_be_given_as_a_text() -> None:
+    corners = (2 * HEXAHEDRON.vertices - 1) / np.sqrt(3)
+    text = "; ".join(",".join(map(repr, row)) for row in corners.tolist())
+    surface = sphere()
+    mapping, _ = map_of(surface, parse({"corners": text}), QUIET)
+    found = on_surface(mapping, np.arange(6), np.zeros((6, 2)))[0]
+    nearest = surface.points[np.argmin(np.linalg.norm(surface.points - corners[:, None], axis=-1), axis=1)]
+    assert np.abs(found - nearest[round_corners(mapping.blocks)[:, 0]]).max() < 1e-12
