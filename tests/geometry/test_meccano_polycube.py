@@ -16,6 +16,7 @@ from geometry.meccano.isotopy import deforms
 from geometry.meccano.layout import borders, check, round_corners
 from geometry.meccano.mean_value import flipped
 from geometry.meccano.overlay import Curve, join, overlay, split, spread
+from geometry.meccano.partition import partition
 from geometry.meccano.polycube import polycube_layout, polycube_map
 from geometry.meccano.settings import parse
 from geometry.meccano.source import map_of
@@ -323,5 +324,7 @@ def test_corners_may_be_given_as_a_text() -> None:
     surface = sphere()
     mapping, _ = map_of(surface, parse({"corners": text}), QUIET)
     found = on_surface(mapping, np.arange(6), np.zeros((6, 2)))[0]
-    nearest = surface.points[np.argmin(np.linalg.norm(surface.points - corners[:, None], axis=-1), axis=1)]
+    layout = partition(surface, corners)
+    nearest = layout.surface.points[layout.corner]
+    assert np.abs(nearest - corners).max() < 0.05
     assert np.abs(found - nearest[round_corners(mapping.blocks)[:, 0]]).max() < 1e-12
