@@ -28,7 +28,7 @@ Mask = NDArray[np.bool_]
 _GRID = np.arange(16).reshape(4, 4)
 SIDES = np.array([_GRID[:, 0], _GRID[3], _GRID[::-1, 3], _GRID[0, ::-1]])
 """Bicubic functions on the sides from corner to corner around: (low, low), (high, low), (high, high), (low, high)."""
-_TURNED = _GRID.T.ravel()
+TURNED = _GRID.T.ravel()
 """Functions with the two directions exchanged, for faces whose normal points into the solid."""
 _CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
 Coefficients = dict[tuple[int, int], Array]
@@ -105,8 +105,8 @@ def assemble(brep: Brep, edges: list[Pieces], meshes: list[FaceMesh], flat: Mask
                 dofs = table.quad_dofs(own)
                 fitted = fit_quads(face, m.low, m.high, shared[np.maximum(dofs, 0)], nets[f])
                 if face.reversed:
-                    own, dofs = own[:, [0, 3, 2, 1]], dofs[:, _TURNED]
-                    control = fitted.control[:, _TURNED]
+                    own, dofs = own[:, [0, 3, 2, 1]], dofs[:, TURNED]
+                    control = fitted.control[:, TURNED]
                 else:
                     control = fitted.control
                 touches = on_edge[own].any(axis=1)

@@ -115,6 +115,16 @@ def to_parameters(chart: Chart, q: Array) -> Array:
     return _turned(uv) if chart.swapped else uv
 
 
+def parameter_steps(chart: Chart, q: Array, step: Array) -> Array:
+    """Derivative (q, 2) of the parameters along steps (q, 2) in the chart; not at poles."""
+    v = chart.origin + q[:, 1] / chart.scale
+    w = _widths(chart, v)
+    slope = np.zeros(len(v)) if isinstance(chart.width, float) else np.asarray(chart.width(v, 1))
+    dv = step[:, 1] / chart.scale
+    uv = np.stack([step[:, 0] / w - q[:, 0] * slope * dv / w**2, dv], axis=1)
+    return _turned(uv) if chart.swapped else uv
+
+
 def chart_points(chart: Chart, q: Array) -> Array:
     """Points in space (q, 3) of chart points (q, 2)."""
     return surface_points(chart.face.surface, to_parameters(chart, q))

@@ -92,6 +92,18 @@ def fit_quads(face: Face, low: Array, high: Array, control: Array, exact: Array 
     return replace(made, bound=distance_bound(face, low, high, made.control, feet))
 
 
+def measure_triangles(face: Face, chart: Chart, q: Array, control: Array) -> Fitted:
+    """Distances of cubic triangles (e, 10, 3) as they are; ``q`` as in `fit_triangles`."""
+    uv = to_parameters(chart, np.einsum("kv,evd->ekd", _CHECKS, q).reshape(-1, 2))
+    return _measured(face, CUBIC, _CHECKS[:, 1:], uv, control)
+
+
+def measure_quads(face: Face, low: Array, high: Array, control: Array) -> Fitted:
+    """Distances of bicubic quadrilaterals (e, 16, 3) on rectangles (e, 2) as they are."""
+    uv = (low[:, None] + _SQUARE_CHECKS * (high - low)[:, None]).reshape(-1, 2)
+    return _measured(face, BICUBIC, _SQUARE_CHECKS, uv, control)
+
+
 def bezier_nets(face: Face, low: Array, high: Array) -> Array | None:
     """Bezier points (e, 16, 3) of the surface on rectangles without inner knots; None unless they are bicubic."""
     surface = face.surface

@@ -40,7 +40,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 }
 
 _WORDS = {
-    "convert": ("none", "hex4"), "skin": ("triangles", "hybrid"),
+    "convert": ("none", "hex4"), "skin": ("triangles", "hybrid", "hb-rep"),
     "paths": ("blended", "straight"), "strategy": ("kept", "recomputed", "layers", "trimmed"),
 }
 

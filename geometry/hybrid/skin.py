@@ -34,6 +34,7 @@ from geometry.hybrid.grid import agree, is_flat, kept_share, make_grid
 from geometry.hybrid.measures import measure
 from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
 from geometry.hybrid.sizing import Sizing, size_edges
+from geometry.hybrid.solid import describe, seal, spline_blocks, splined
 from iga.domain import Space
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
@@ -55,7 +56,7 @@ class Skin:
     Attributes
     ----------
     space : blocks of two-dimensional cells, outward normals by x_xi x x_eta; functions 0 .. vertices - 1 are the
-        vertices of the mesh, the others belong to edges and elements.
+        vertices of the mesh, the others belong to edges and elements, unless the skin is an HB-rep.
     points : (n, 3) control points.
     vertices : number of vertices.
     faces : for each block, the CAD face of each element (e,).
@@ -80,7 +81,7 @@ class Skin:
 
 def build_skin(
     brep: Brep, size: float = 0.2, tolerance: float = 2e-5, where: str = "", progress: Progress = QUIET,
-    quads: bool = False,
+    quads: bool = False, splines: bool = False,
 ) -> Skin:  # fmt: skip
     """Skin of a solid.
 
@@ -91,6 +92,8 @@ def build_skin(
     tolerance : wanted distance to the CAD surfaces, relative to the diagonal.
     where : name for messages.
     quads : quadrilaterals on curved faces, where they fit; triangles alone otherwise.
+    splines : an HB-rep: quadrilaterals on all faces, whose B-splines, revised beside the trimming curves, and trim
+        functions are the functions of the skin (`solid`). The report has the numbers of `solid.describe` as ``hb_rep``.
 
     Returns
     -------
@@ -108,10 +111,14 @@ def build_skin(
         raise InputError(f"{where or brep.name}: size must lie in (0, 1] and tolerance in [1e-10, 0.1]")
     where = where or brep.name or "solid"
     refuse_cusps(brep, where)
+    solid = splined(brep, tolerance) if splines else None
+    brep = brep if solid is None else solid.brep
     sizing, wanted = size_edges(brep, size)
     charts = [make_chart(face) for face in brep.faces]
     flat = np.array([is_flat(face.surface) for face in brep.faces])
-    cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), size * brep.diagonal) if quads else {}
+    if solid is not None:
+        flat[:] = False  # their B-splines are revised too
+    cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), size * brep.diagonal) if quads or splines else {}
     without: dict[int, str] = {}
     least = least_pieces(brep)
     best: tuple[float, Skin] | None = None
@@ -140,15 +147,20 @@ def build_skin(
             continue
         failed = None
         made = assemble(brep, edges, meshes, flat)
+        sealed = None if solid is None else seal(solid, meshes, made)
+        made = made if sealed is None else sealed.made
         report, finer = measure(brep, made, meshes, tolerance)
         none = {f: "no cell fits between its curves" for f in cells if not len(meshes[f].quads)}
         report["cad_faces_without_quadrilaterals"] = {
             brep.faces[f].name: why for f, why in sorted({**none, **without}.items())
         }
-        skin = Skin(
-            made.space, made.points, made.vertices, tuple(part.owner for part in made.parts),
-            tuple(face.name for face in brep.faces), made.curves, True, report,
-        )  # fmt: skip
+        space, points, owners = made.space, made.points, tuple(part.owner for part in made.parts)
+        if solid is not None and sealed is not None:
+            report["hb_rep"] = describe(sealed, solid)
+            space, owners = spline_blocks(sealed)
+            points = sealed.points
+        names = tuple(face.name for face in brep.faces)
+        skin = Skin(space, points, made.vertices, owners, names, made.curves, True, report)
         badness = float(report["crossings"] + report["folded"]) * 1e6 + report["max_distance"]
         stuck = 0 if best is None or badness < 0.7 * best[0] else stuck + 1
         if best is None or badness < best[0]:

@@ -2,9 +2,11 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
 
     solid       which solid of a file with several, from 0
     skin        "triangles" (default), or "hybrid": quadrilaterals that are the CAD surface itself on curved faces
-                (rational ones to the tolerance), pyramids on them, and triangles along trimming curves. Triangles are
-                the default because tetrahedra refine exactly and keep the full order, where pyramids, whose functions
-                are rational, lose some on warped bases; and because a few parts fold with quadrilaterals alone
+                (rational ones to the tolerance), pyramids on them, and triangles along trimming curves; or "hb-rep":
+                the same on all faces, and the functions on the boundary are the faces' B-splines, revised beside the
+                trimming curves, and trim functions that neighbours share (`solid`). Triangles are the default because
+                tetrahedra refine exactly and keep the full order, where pyramids, whose functions are rational, lose
+                some on warped bases; and because a few parts fold with quadrilaterals alone
     degree      3 (default) or more: degrees above three are added to the cubic volume
     size        largest element of the skin, relative to the diagonal (default 0.2)
     tolerance   wanted distance of the skin to the CAD surfaces, relative to the diagonal (default 2e-5)
@@ -113,9 +115,9 @@ def domain_of(brep: Brep, settings: Settings | None = None, source: str = "", sh
 def _built(brep: Brep, settings: Settings, source: str, shown: Progress) -> tuple[Shell, Domain]:
     """Shell as it was filled and its volume, without refinement."""
     began = perf_counter()
-    skin = build_skin(brep, settings.size, settings.tolerance, source, shown, settings.skin == "hybrid")
     kind = settings.skin
-    if settings.skin == "hybrid" and (skin.report["crossings"] or skin.report["folded"]):
+    skin = build_skin(brep, settings.size, settings.tolerance, source, shown, kind == "hybrid", kind == "hb-rep")
+    if kind != "triangles" and (skin.report["crossings"] or skin.report["folded"]):
         kind = f"triangles, because quadrilaterals leave folds on {', '.join(skin.report['faulty_faces'])}"
         skin = build_skin(brep, settings.size, settings.tolerance, source, shown)
     if skin.report.get("crossings") or skin.report.get("folded"):

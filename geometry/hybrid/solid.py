@@ -1,0 +1,432 @@
+r"""HB-rep of a solid: B-splines on its faces, revised beside the trimming curves, and trim functions that faces share.
+
+A skin of quadrilaterals and triangles has C0 Bernstein functions theta_b (`assembling`). The HB-rep's functions are
+
+    N_i = sum_b M[b, i] theta_b,
+
+where a row b of M is one of
+
+    trim      a unit vector, if theta_b does not vanish on a trimming curve: the function T_b, shared by both faces
+    A         extraction of the face's B-splines, if b belongs to a quadrilateral (the mask: trim rows come first)
+    A S       the rules of `strip`, if b belongs to triangles alone
+
+so B-splines away from the curves are untouched, the others are revised: they vanish on the curves, where trim
+functions alone remain. Rows sum to one, which is the partition of unity. The coefficients are the face's B-spline
+coefficients R and the control points Upsilon of the curves in space: both faces take these, so there is no gap.
+
+Each face's B-splines have the CAD surface's knots, with its continuity, and simple knots (C2) at the other lines of the
+face's grid: the h-refinement of the trimmed B-rep before the HB-rep is built. Weights do not enter: a rational surface,
+or one of a higher degree, is replaced by a bicubic polynomial spline within a share of the tolerance (`splined`), with
+a proved bound of the distance where the degree allows, because the curves in space, that neighbours share, carry no
+weights. Faces with a pole, or without a quadrilateral, keep C0 functions of their own.
+
+Axis letters: b Bernstein function, i function, e element, c component.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.sparse import coo_array, csr_array
+
+from geometry.hybrid.assembling import SIDES, TURNED, Assembled, Part
+from geometry.hybrid.bound import FEET, distance_bound
+from geometry.hybrid.brep import Brep, Face, curve_points, surface_frame, surface_points
+from geometry.hybrid.chart import parameter_steps, to_parameters
+from geometry.hybrid.extraction import blocks_of
+from geometry.hybrid.facemesh import FaceMesh
+from geometry.hybrid.fitting import BICUBIC, CUBIC, measure_quads, measure_triangles, project
+from geometry.hybrid.grid import ALONG
+from geometry.hybrid.hbrep import polynomial_surface, tensor_rows
+from geometry.hybrid.strip import OTHERS, inner_rows, side_rows, vertex_rows
+from geometry.knots import apply, insertion
+from geometry.patch import Patch
+from iga.block import Block
+from iga.domain import Space
+from iga.errors import InputError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+SHARE = 0.25
+"""Share of the tolerance that replacing a rational surface by a polynomial spline may use."""
+ZERO = 1e-13
+DEPENDENT = 1e-6
+"""Diagonal of QR, relative to the first, below which a function beside the curves is a combination of others."""
+FAINT = 1e-4
+"""Size below which a function counts as small."""
+_CORNER = np.array([int(np.flatnonzero(CUBIC.exponents[:, i] == 3)[0]) for i in range(3)])
+_NEAR = np.array([
+    [int(np.flatnonzero((CUBIC.exponents[:, i] == 2) & (CUBIC.exponents[:, j] == 1))[0]) for j in OTHERS[i]]
+    for i in range(3)
+])
+"""Functions (i, 2) beside corner i on the sides to the corners that follow."""
+_INNER = int(np.flatnonzero((CUBIC.exponents == 1).all(axis=1))[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Splined:
+    """A solid whose faces are bicubic splines where they can be.
+
+    Attributes
+    ----------
+    brep : the solid with replaced surfaces; curves as they were.
+    apart : (f,) bound of the distance between a face and the CAD surface, 0 where it is the CAD surface.
+    proved : (f,) the bound is proved, not sampled.
+    without : faces that are no splines, and why.
+    """
+
+    brep: Brep
+    apart: Array
+    proved: Mask
+    without: dict[int, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Sealed:
+    """Functions of an HB-rep over the Bernstein functions of a skin.
+
+    Attributes
+    ----------
+    made : the skin, its points those of the HB-rep.
+    M : (b, i) rows of Bernstein functions; functions are those of the curves, then B-splines face by face, then others.
+    points : (i, 3) coefficients.
+    trim : number of trim functions.
+    splines : for each face its bicubic surface with the knots of the grid, or None.
+    numbers : for each face (r,) numbers of its B-splines' functions, -1 where they vanish, or None.
+    on_curve : (b,) Bernstein functions that do not vanish on a trimming curve.
+    """
+
+    made: Assembled
+    M: csr_array
+    points: Array
+    trim: int
+    splines: tuple[Patch | None, ...]
+    numbers: tuple[Index | None, ...]
+    on_curve: Mask
+
+
+def splined(brep: Brep, tolerance: float) -> Splined:
+    """Replace surfaces by bicubic polynomial splines.
+
+    Parameters
+    ----------
+    tolerance : of the skin, relative to the diagonal of the solid.
+    """
+    faces, apart, proved, without = [], np.zeros(len(brep.faces)), np.ones(len(brep.faces), dtype=bool), {}
+    for f, face in enumerate(brep.faces):
+        extent = float(np.linalg.norm(np.ptp(face.surface.control.reshape(-1, 3), axis=0)))
+        exact = face.surface.weights is None and max(face.surface.degree) <= 3
+        try:
+            surface = polynomial_surface(face.surface, SHARE * tolerance * brep.diagonal / extent)
+        except InputError as error:
+            without[f] = str(error)
+            surface = face.surface
+        if not exact and f not in without:
+            apart[f], proved[f] = _apart(face, surface)
+        if f not in without and _has_pole(face):
+            without[f] = "a pole"
+        faces.append(replace(face, surface=surface))
+    return Splined(replace(brep, faces=tuple(faces)), apart, proved, without)
+
+
+def _has_pole(face: Face) -> bool:
+    """Whether a curve of a face is a point in space."""
+    extent = float(np.ptp(face.surface.control.reshape(-1, 3), axis=0).max())
+    t = np.linspace(0.0, 1.0, 9)
+    return any(
+        float(np.ptp(surface_points(face.surface, curve_points(c.curve, t)), axis=0).max()) < 1e-9 * extent
+        for loop in face.loops for c in loop
+    )
+
+
+def _apart(face: Face, made: Patch) -> tuple[float, bool]:
+    """Bound of the distance of a bicubic surface to the surface of a face inside the box of its loops."""
+    t = np.linspace(0.0, 1.0, 33)
+    outline = np.concatenate([curve_points(c.curve, t) for loop in face.loops for c in loop])
+    box = outline.min(axis=0), outline.max(axis=0)
+    lines = []
+    for d in range(2):
+        x = np.unique(np.concatenate([face.surface.knots[d], made.knots[d]]))
+        x = x[(x > box[0][d]) & (x < box[1][d])]
+        lines.append(np.concatenate([[box[0][d]], x, [box[1][d]]]))
+    low = np.stack(np.meshgrid(*(x[:-1] for x in lines), indexing="ij"), axis=-1).reshape(-1, 2)
+    high = np.stack(np.meshgrid(*(x[1:] for x in lines), indexing="ij"), axis=-1).reshape(-1, 2)
+    large = ((high - low) > 1e-9 * np.ptp(outline, axis=0)).all(axis=1)
+    low, high = low[large], high[large]
+    A, dofs = tensor_rows(made.knots, low, high)
+    net = np.einsum("enb,enc->ebc", A, made.control.reshape(-1, 3)[dofs])
+    at = np.stack(np.meshgrid(FEET, FEET, indexing="ij"), axis=-1).reshape(-1, 2)
+    uv = (low[:, None] + at * (high - low)[:, None]).reshape(-1, 2)
+    x = surface_points(made, uv)
+    feet, gap, _ = project(face, uv, x)
+    found = distance_bound(face, low, high, net, feet.reshape(len(low), -1, 2))
+    return (float(np.abs(gap).max()), False) if found is None else (float(found.max()), True)
+
+
+def on_lines(surface: Patch, lines: tuple[Array, Array]) -> Patch:
+    """The same bicubic surface with a simple knot at each line that is no knot yet."""
+    control, knots = surface.control, []
+    for d in range(2):
+        t = surface.knots[d]
+        reach = 10 * ALONG * float(np.ptp(t))
+        new = [x for x in lines[d].tolist() if np.abs(t - x).min() > reach and t[0] < x < t[-1]]
+        fine = np.sort(np.concatenate([t, new]))
+        control = apply(insertion(t, 3, fine), control, d)
+        knots.append(fine)
+    return Patch((knots[0], knots[1]), control)
+
+
+def seal(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> Sealed:
+    """Functions and control points of the HB-rep on a skin."""
+    brep = solid.brep
+    on_curve = _on_curves(made)
+    count = len(made.points)
+    trim = np.flatnonzero(on_curve)
+    rows, columns, values = [trim], [np.arange(len(trim))], [np.ones(len(trim))]
+    done = on_curve.copy()
+    points = [made.points[trim]]
+    n = len(trim)
+    splines: list[Patch | None] = []
+    numbers: list[Index | None] = []
+    for f, mesh in enumerate(meshes):
+        if f in solid.without or mesh.grid is None or not len(mesh.quads):
+            splines.append(None)
+            numbers.append(None)
+            continue
+        surface = on_lines(brep.faces[f].surface, mesh.grid.lines)
+        b, i, own = _face_rows(brep.faces[f], surface, mesh, made, f, done)
+        on_quad = np.zeros(count, dtype=bool)
+        for part in made.parts:
+            if part.block.basis is BICUBIC:
+                on_quad[part.block.dofs[part.owner == f]] = True
+        place, control = _merged(b, i, own, on_quad, surface)
+        keep = place[i] >= 0
+        rows.append(b[keep])
+        columns.append(n + place[i[keep]])
+        values.append(own[keep])
+        points.append(control)
+        splines.append(surface)
+        numbers.append(np.where(place < 0, -1, n + place))
+        n += len(control)
+    rest = np.flatnonzero(~done)
+    rows.append(rest)
+    columns.append(n + np.arange(len(rest)))
+    values.append(np.ones(len(rest)))
+    points.append(made.points[rest])
+    n += len(rest)
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    M = csr_array(coo_array(entries, shape=(count, n)).tocsr())
+    M.eliminate_zeros()
+    coefficients = np.concatenate(points)
+    placed = replace(made, points=M @ coefficients)
+    placed = replace(placed, parts=_measured(solid, meshes, placed))
+    return Sealed(placed, M, coefficients, len(trim), tuple(splines), tuple(numbers), on_curve)
+
+
+def _merged(b: Index, i: Index, own: Array, on_quad: Mask, surface: Patch) -> tuple[Index, Array]:
+    """Function of each B-spline of a face, -1 where it vanishes, and the functions' control points.
+
+    B-splines that act on triangles alone can be dependent there: a triangle has fewer coefficients than a cell. With
+    A_rest = A_kept T, found by pivoted QR, the rest are added each to the nearest B-spline l of those on
+    quadrilaterals, so that functions still sum to one, and r_kept + T (r_rest - r_l) gives the same surface.
+    """
+    control = surface.control.reshape(-1, 3).copy()
+    size = np.zeros((2, len(control)))
+    np.maximum.at(size, (on_quad[b].astype(np.int64), i), np.abs(own))
+    leader = np.where(size.max(axis=0) > ZERO, np.arange(len(control)), -1)
+    inner = np.flatnonzero(size[1] > ZERO)
+    outer = np.flatnonzero((size[0] > ZERO) & (size[1] <= ZERO))
+    if len(outer):
+        mine = np.isin(i, outer)
+        at, row = np.unique(b[mine], return_inverse=True)
+        A = np.zeros((len(at), len(outer)))
+        np.add.at(A, (row.ravel(), np.searchsorted(outer, i[mine])), own[mine])
+        # Those that hardly act go last: what they are made of is rounding.
+        R, order = qr(A / np.maximum(np.linalg.norm(A, axis=0), FAINT), mode="r", pivoting=True)
+        depth = np.abs(np.diag(R))
+        rank = int((depth > DEPENDENT * depth[0]).sum())
+        kept, rest = order[:rank], order[rank:]
+        T = np.linalg.lstsq(A[:, kept], A[:, rest], rcond=None)[0]
+        grid = np.stack(np.divmod(np.arange(len(control)), surface.control.shape[1]), axis=1)
+        far = np.linalg.norm(grid[outer[rest], None] - grid[None, inner], axis=2)
+        leader[outer[rest]] = inner[far.argmin(axis=1)]
+        control[outer[kept]] += T @ (control[outer[rest]] - control[leader[outer[rest]]])
+    leads = leader == np.arange(len(control))
+    place = np.where(leader < 0, -1, (np.cumsum(leads) - 1)[leader])
+    return place, control[leads]
+
+
+def _on_curves(made: Assembled) -> Mask:
+    """Bernstein functions that do not vanish on a trimming curve."""
+    mask = np.zeros(len(made.points), dtype=bool)
+    mask[made.curves[:, :2]] = True
+    pairs = np.sort(made.curves[:, :2], axis=1) @ np.array([made.vertices, 1])
+    for part in made.parts:
+        m = part.corners.shape[1]
+        for k in range(m):
+            ends = np.sort(part.corners[:, [k, (k + 1) % m]], axis=1) @ np.array([made.vertices, 1])
+            inner = SIDES[k, 1:3] if m == 4 else np.array([_NEAR[k, 0], _NEAR[(k + 1) % 3, 1]])
+            mask[part.block.dofs[np.isin(ends, pairs)][:, inner]] = True
+    return mask
+
+
+def _face_rows(
+    face: Face, surface: Patch, mesh: FaceMesh, made: Assembled, number: int, done: Mask
+) -> tuple[Index, Index, Array]:
+    """Entries (b, B-spline, value) of the rows of one face that are not ``done``, which they are marked then."""
+    found: list[tuple[Index, Index, Array]] = []
+
+    def add(b: Index, dofs: Index, own: Array) -> None:
+        first = np.unique(b, return_index=True)[1]
+        first = first[~done[b[first]]]
+        found.append((np.repeat(b[first], dofs.shape[1]), dofs[first].ravel(), own[first].ravel()))
+        done[b[first]] = True
+
+    knots = surface.knots
+    for part in made.parts:
+        mine = part.owner == number
+        dofs = part.block.dofs[mine]
+        if part.block.basis is BICUBIC:
+            dofs = dofs[:, TURNED] if face.reversed else dofs
+            A, functions = tensor_rows(knots, _snapped(knots, mesh.low), _snapped(knots, mesh.high))
+            add(dofs.ravel(), np.repeat(functions, 16, axis=0), np.swapaxes(A, 1, 2).reshape(-1, 16))
+        elif len(dofs):
+            corners = mesh.triangles[:, ::-1] if face.reversed else mesh.triangles
+            uv, steps = _steps(surface, mesh, corners, made.points[dofs], part.corners[mine], made)
+            middle = uv.mean(axis=1)
+            for i in range(3):
+                own, functions = vertex_rows(knots, uv[:, i], middle)
+                add(dofs[:, _CORNER[i]], functions, own)
+                for k, j in enumerate(OTHERS[i].tolist()):
+                    own, functions = side_rows(knots, uv[:, i], uv[:, j], steps[:, i, k])
+                    add(dofs[:, _NEAR[i, k]], functions, own)
+            own, functions = inner_rows(knots, uv, steps)
+            add(dofs[:, _INNER], functions, own)
+    return tuple(map(np.concatenate, zip(*found)))  # type: ignore[return-value]
+
+
+def _snapped(knots: tuple[Array, ...], uv: Array) -> Array:
+    """Nearest knots to parameters (e, 2) of lines, which are equal to within what makes two lines one."""
+    return np.stack([
+        np.unique(t)[np.abs(uv[:, d, None] - np.unique(t)).argmin(axis=1)] for d, t in enumerate(knots)
+    ], axis=1)  # fmt: skip
+
+
+def _steps(
+    surface: Patch, mesh: FaceMesh, corners: Index, control: Array, vertices: Index, made: Assembled
+) -> tuple[Array, Array]:
+    """Corners (t, 3, 2) of triangles in the parameter plane, and steps (t, 3, 2, 2) of phi beside them.
+
+    Sides are straight in the chart, or along parameter lines at quadrilaterals; on trimming curves steps are those
+    whose images are the steps of the curve in space.
+    """
+    q = mesh.points[corners]
+    flat = to_parameters(mesh.chart, q.reshape(-1, 2))
+    uv = flat.reshape(q.shape)
+    ring = np.concatenate([mesh.quads[:, [k, (k + 1) % 4]] for k in range(4)])
+    size = len(mesh.points) + 1
+    beside = np.sort(ring, axis=1) @ np.array([size, 1])
+    pairs = np.sort(made.curves[:, :2], axis=1) @ np.array([made.vertices, 1])
+    _, du, dv = surface_frame(surface, flat)
+    J = np.stack([du, dv], axis=-1).reshape(*q.shape[:2], 3, 2)
+    steps = np.zeros((len(q), 3, 2, 2))
+    for i in range(3):
+        for k, j in enumerate(OTHERS[i].tolist()):
+            steps[:, i, k] = parameter_steps(mesh.chart, q[:, i], q[:, j] - q[:, i]) / 3.0
+            along = np.isin(np.sort(corners[:, [i, j]], axis=1) @ np.array([size, 1]), beside)
+            steps[along, i, k] = (uv[along, j] - uv[along, i]) / 3.0
+            curve = np.isin(np.sort(vertices[:, [i, j]], axis=1) @ np.array([made.vertices, 1]), pairs)
+            way = control[curve, _NEAR[i, k]] - control[curve, _CORNER[i]]
+            own = J[curve, i]
+            metric = np.einsum("tcd,tce->tde", own, own)
+            steps[curve, i, k] = np.linalg.solve(metric, np.einsum("tcd,tc->td", own, way)[..., None])[..., 0]
+    return uv, steps
+
+
+def _measured(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> tuple[Part, ...]:
+    """Parts with the distances of the control points as they are now."""
+    parts = []
+    for part in made.parts:
+        distance, folded = part.distance.copy(), part.folded.copy()
+        for f, (face, mesh) in enumerate(zip(solid.brep.faces, meshes)):
+            mine = part.owner == f
+            if not mine.any():
+                continue
+            control = made.points[part.block.dofs[mine]]
+            if part.block.basis is BICUBIC:
+                control = control[:, TURNED] if face.reversed else control
+                found = measure_quads(face, mesh.low, mesh.high, control)
+            else:
+                corners = mesh.triangles[:, ::-1] if face.reversed else mesh.triangles
+                found = measure_triangles(face, mesh.chart, mesh.points[corners], control)
+            distance[mine], folded[mine] = found.distance + solid.apart[f], found.folded
+        parts.append(replace(part, distance=distance, folded=folded))
+    return tuple(parts)
+
+
+def spline_blocks(sealed: Sealed) -> tuple[Space, tuple[Index, ...]]:
+    """Space of the HB-rep, and for each block the CAD face of each element."""
+    blocks: list[Block] = []
+    owners = []
+    for part in sealed.made.parts:
+        for block, mine in blocks_of(part.block.basis, part.block.dofs, sealed.M):
+            blocks.append(block)
+            owners.append(part.owner[mine])
+    return Space(tuple(blocks), sealed.M.shape[1]), tuple(owners)
+
+
+def describe(sealed: Sealed, solid: Splined) -> dict[str, Any]:
+    """Numbers of an HB-rep.
+
+    Returns
+    -------
+    ``b_splines``, ``revised``, ``trim`` and ``own``: functions untouched, revised, of the curves, and C0 functions of
+    faces that are no splines; ``unity_error``; ``on_curves``, the largest coefficient of another function in a row of a
+    trimming curve; ``c0_faces``, those without splines, with the reason, by name; ``replaced``, for faces that are not
+    bicubic polynomials the bound of the distance and whether it is proved; ``condition`` of the functions.
+    """
+    M, made = sealed.M, sealed.made
+    band = np.zeros(len(made.points), dtype=bool)
+    for part in made.parts:
+        band[part.block.dofs[part.banded]] = True
+    spline = np.zeros(M.shape[1], dtype=bool)
+    for own in sealed.numbers:
+        if own is not None:
+            spline[own[own >= 0]] = True
+    touched = np.zeros(M.shape[1], dtype=bool)
+    touched[csr_array(M[band]).indices] = True
+    on = csr_array(M[sealed.on_curve])
+    beyond = np.abs(on.data[on.indices >= sealed.trim])
+    names = [face.name for face in solid.brep.faces]
+    c0 = {names[f]: solid.without.get(f, "no quadrilateral fits") for f, s in enumerate(sealed.splines) if s is None}
+    return {
+        "b_splines": int((spline & ~touched).sum()), "revised": int((spline & touched).sum()), "trim": sealed.trim,
+        "own": M.shape[1] - sealed.trim - int(spline.sum()),
+        "unity_error": float(np.abs(M.sum(axis=1) - 1.0).max()), "on_curves": float(beyond.max(initial=0.0)),
+        "c0_faces": c0,
+        "replaced": {
+            names[f]: {"distance": float(solid.apart[f] / solid.brep.diagonal), "proved": bool(solid.proved[f])}
+            for f in np.flatnonzero(solid.apart > 0.0).tolist()
+        },
+    }  # fmt: skip
+
+
+def column_condition(sealed: Sealed) -> dict[int, float]:
+    """For each face with splines the condition of its functions as combinations of Bernstein functions, scaled."""
+    found = {}
+    for f, own in enumerate(sealed.numbers):
+        if own is None:
+            continue
+        part = sealed.M[:, np.unique(own[own >= 0])]
+        part = part[np.diff(part.tocsr().indptr) > 0].toarray()
+        size = np.linalg.svd(part / np.linalg.norm(part, axis=0), compute_uv=False)
+        found[f] = float(size[0] / max(size[-1], 1e-300))
+    return found
+
+

@@ -1,0 +1,108 @@
+r"""Control points of the triangles beside trimming curves as combinations of a face's B-spline coefficients.
+
+phi maps a triangle to the parameter plane, psi to space, both cubic, and psi(phi^-1) stands for the surface S
+(Song and Cohen 2019, Section 3). With the corner u_i, the step d_ij = phi_ij - u_i to the next coefficient of phi on
+the side to corner j (a third of the side's velocity), and e_i = phi_111 - u_i,
+
+    psi_i   = S(u_i)
+    psi_ij  = S(u_i) + S'(u_i) d_ij                            beside corner i on the side to corner j
+    psi_111 = mean_i  S(u_i) + S'(u_i) e_i + 3/2 S''(u_i)[d_ij, d_ik]
+
+the last from d_j d_k psi = d_j d_k (S o phi) at corner i. On a triangle with legs along parameter lines and the corner
+q0 alone this is the twist with its correction of `triangle.selection`; taking all three corners, and sides in any
+direction, it holds for every triangle. On a parameter line without knots the psi_ij are the Bezier points of S exactly,
+so triangles join the rectangles beside them. phi_111 is that of quadratic precision, which at a trimming curve is the
+blend of NOTES 3.1. The rules are affine: rows sum to one.
+
+Axis letters: q point, n B-spline on it, t triangle, i j k corner, d parameter direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.knots import blossom, find_spans
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+DEGREE = 3
+OTHERS = np.array([(1, 2), (2, 0), (0, 1)])
+"""The corners j, k that follow corner i."""
+_TOWARDS = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Jets:
+    """Values and derivatives of bicubic B-splines at points.
+
+    Attributes
+    ----------
+    dofs : (q, 16) numbers of the B-splines.
+    value, first, second : (q, 16), (q, 16, 2) and (q, 16, 2, 2).
+    """
+
+    dofs: Index
+    value: Array
+    first: Array
+    second: Array
+
+
+def jets(knots: tuple[Array, ...], uv: Array, towards: Array) -> Jets:
+    """B-splines at points (q, 2), on the knot intervals that lie ``towards`` other points (q, 2)."""
+    line = []
+    for d in range(2):
+        x, t = uv[:, d], knots[d]
+        spans = find_spans(t, DEGREE, x + _TOWARDS * (towards[:, d] - x))
+        h = t[spans + 1] - t[spans]
+        f = [
+            blossom(t, DEGREE, spans, np.stack([x + h * (k < m) for k in range(DEGREE)], axis=1)).values
+            for m in range(3)
+        ]
+        slope, bend = 3.0 * (f[1] - f[0]) / h[:, None], 6.0 * (f[2] - 2.0 * f[1] + f[0]) / (h**2)[:, None]
+        line.append((spans - DEGREE, f[0], slope, bend))
+    (i, a, da, dda), (j, b, db, ddb) = line
+    steps = np.arange(DEGREE + 1)
+    columns = len(knots[1]) - DEGREE - 1
+    dofs = ((i[:, None, None] + steps[:, None]) * columns + j[:, None, None] + steps).reshape(len(uv), 16)
+
+    def product(x: Array, y: Array) -> Array:
+        return np.asarray(np.einsum("qn,qm->qnm", x, y).reshape(len(x), 16))
+
+    mixed = product(da, db)
+    second = np.stack([product(dda, b), mixed, mixed, product(a, ddb)], axis=-1).reshape(len(uv), 16, 2, 2)
+    return Jets(dofs, product(a, b), np.stack([product(da, b), product(a, db)], axis=-1), second)
+
+
+def vertex_rows(knots: tuple[Array, ...], uv: Array, towards: Array) -> tuple[Array, Index]:
+    """Rows (q, 16) of S(u_i), and their B-splines."""
+    found = jets(knots, uv, towards)
+    return found.value, found.dofs
+
+
+def side_rows(knots: tuple[Array, ...], uv: Array, towards: Array, step: Array) -> tuple[Array, Index]:
+    """Rows (q, 16) of psi_ij from corners (q, 2), the corners that the sides go to, and steps (q, 2)."""
+    found = jets(knots, uv, towards)
+    return found.value + np.einsum("qnd,qd->qn", found.first, step), found.dofs
+
+
+def phi_of(uv: Array, steps: Array) -> Array:
+    """Inner coefficient (t, 2) of phi from corners (t, 3, 2) and steps (t, 3, 2, 2) to the two corners that follow."""
+    sides = (uv[:, :, None] + steps).sum(axis=(1, 2))
+    return np.asarray(0.25 * sides - uv.sum(axis=1) / 6.0)
+
+
+def inner_rows(knots: tuple[Array, ...], uv: Array, steps: Array) -> tuple[Array, Index]:
+    """Rows (t, 48) of psi_111, and their B-splines, those of the three corners one after the other."""
+    middle, inner = uv.mean(axis=1), phi_of(uv, steps)
+    rows, dofs = [], []
+    for i in range(3):
+        found = jets(knots, uv[:, i], middle)
+        row = found.value + np.einsum("qnd,qd->qn", found.first, inner - uv[:, i])
+        row += 1.5 * np.einsum("qnde,qd,qe->qn", found.second, steps[:, i, 0], steps[:, i, 1])
+        rows.append(row / 3.0)
+        dofs.append(found.dofs)
+    return np.concatenate(rows, axis=1), np.concatenate(dofs, axis=1)

@@ -1,0 +1,145 @@
+"""HB-rep of solids: revised B-splines and trim functions on whole skins."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("OCP")
+
+from geometry.hybrid import shapes
+from geometry.hybrid import skin as skins
+from geometry.hybrid.brep import Brep, surface_points
+from geometry.hybrid.facemesh import FaceMesh
+from geometry.hybrid.numbering import numbering, skin_rows
+from geometry.hybrid.shell import shell_of
+from geometry.hybrid.solid import Sealed, Splined, column_condition, seal
+from geometry.hybrid.subdividing import subdivided
+from geometry.hybrid.volume import complete, fill_skin
+from iga.block import bezier_coefficients
+from iga.certificate import certify
+from iga.domain import check
+
+Array = NDArray[np.float64]
+
+
+@cache
+def built(name: str = "curved_difference") -> tuple[Brep, skins.Skin, Sealed, Splined, list[FaceMesh]]:
+    """A skin with everything that went into it."""
+    kept: list[tuple[Sealed, Splined, list[FaceMesh]]] = []
+
+    def keeping(solid: Splined, meshes: list[FaceMesh], made: object) -> Sealed:
+        found = seal(solid, meshes, made)  # type: ignore[arg-type]
+        kept.append((found, solid, meshes))
+        return found
+
+    brep = shapes.SHAPES[name]()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(skins, "seal", keeping)
+        skin = skins.build_skin(brep, 0.2, 1e-4, splines=True)
+    assert len(kept) == 1  # one round: the skin is the one that was kept
+    return brep, skin, *kept[0]
+
+
+def functions_at(sealed: Sealed, part: int, places: Array) -> tuple[Array, Array]:
+    """Values (e, q, n) of all functions on the elements of a part, and their sums over n."""
+    block = sealed.made.parts[part].block
+    values = block.basis.tabulate(places, 0)[0]
+    M = sealed.M.toarray()[block.dofs]
+    found = np.einsum("qb,ebn->eqn", values, M)
+    return found, found.sum(axis=2)
+
+
+def test_functions_sum_to_one() -> None:
+    _, skin, sealed, _, _ = built()
+    at = np.random.default_rng(1).dirichlet(np.ones(3), 9)[:, :2]
+    for part in range(2):
+        assert np.abs(functions_at(sealed, part, at)[1] - 1.0).max() < 1e-12
+    assert skin.report["hb_rep"]["unity_error"] < 1e-12
+
+
+def test_only_trim_functions_live_on_trimming_curves() -> None:
+    """Sides of elements on CAD edges, found by the vertices alone; revised functions are evaluated there."""
+    _, _, sealed, _, _ = built()
+    made = sealed.made
+    pairs = {tuple(sorted(row)) for row in made.curves[:, :2].tolist()}
+    s = np.linspace(0.0, 1.0, 7)[:, None]
+    around = {3: np.array([(0, 0), (1, 0), (0, 1)]), 4: np.array([(0, 0), (1, 0), (1, 1), (0, 1)])}
+    met = 0
+    for number, part in enumerate(made.parts):
+        m = part.corners.shape[1]
+        for k in range(m):
+            ends = np.sort(part.corners[:, [k, (k + 1) % m]], axis=1)
+            mine = np.array([tuple(row) in pairs for row in ends.tolist()])
+            if not mine.any():
+                continue
+            met += int(mine.sum())
+            a, b = around[m][k], around[m][(k + 1) % m]
+            values = functions_at(sealed, number, a + s * (b - a))[0][mine]
+            assert np.abs(values[..., sealed.trim :]).max() < 1e-12
+            assert (np.abs(values[..., : sealed.trim]) > 1e-12).sum(axis=(1, 2)).min() >= 4
+    assert met == 2 * len(pairs)
+
+
+def test_outside_the_band_functions_and_surface_are_the_splines() -> None:
+    brep, _, sealed, solid, meshes = built()
+    s = np.linspace(0.0, 1.0, 4)
+    at = np.stack(np.meshgrid(s, s, indexing="ij"), axis=-1).reshape(-1, 2)
+    part = sealed.made.parts[0]
+    values = functions_at(sealed, 0, at)[0]
+    for f, mesh in enumerate(meshes):
+        assert solid.apart[f] == 0.0
+        mine = np.flatnonzero(part.owner == f)
+        order = at[:, ::-1] if brep.faces[f].reversed else at
+        uv = mesh.low[:, None] + order * (mesh.high - mesh.low)[:, None]
+        inner = ~part.banded[mine]
+        x = values[mine][inner] @ sealed.points
+        on = surface_points(brep.faces[f].surface, uv[inner].reshape(-1, 2)).reshape(x.shape)
+        assert np.abs(x - on).max(initial=0.0) < 1e-12 * brep.diagonal
+        # Functions: those of the face alone, positive, and as many as B-splines on an interval.
+        own = np.unique(sealed.numbers[f][sealed.numbers[f] >= 0])  # type: ignore[index]
+        there = np.abs(values[mine][inner]).max(axis=1, initial=0.0) > 1e-13
+        assert (there.sum(axis=1) == 16).all()
+        assert not np.delete(there, own, axis=1).any()
+    assert sum(int((~part.banded).sum()) for part in sealed.made.parts[:1]) > 10
+
+
+def test_both_sides_of_a_curve_share_coefficients() -> None:
+    brep, skin, sealed, _, _ = built()
+    assert skin.report["watertight_gap"] < 1e-12
+    ends = sealed.made.points[np.unique(sealed.made.curves[:, :2])]
+    # The coefficients of trim functions are control points of the curves, so vertices are on them.
+    tree = np.abs(ends[:, None] - sealed.points[None, : sealed.trim]).max(axis=2).min(axis=1)
+    assert tree.max() == 0.0
+    assert skin.report["max_distance"] < 1e-4
+    assert skin.report["exact_area_share"] > 0.75
+    assert abs(skin.report["volume"] / brep.volume - 1.0) < 1e-5
+
+
+def test_functions_are_independent() -> None:
+    _, skin, sealed, _, _ = built()
+    assert max(column_condition(sealed).values()) < 1e6
+    told = skin.report["hb_rep"]
+    assert told["trim"] + told["revised"] + told["b_splines"] + told["own"] == skin.space.n
+    assert told["own"] == 0
+    assert not told["c0_faces"]
+    curves = sealed.made.curves  # two coefficients inside each piece, and one at each end
+    assert told["trim"] == 2 * len(curves) + len(np.unique(curves[:, :2]))
+
+
+def test_volume_has_the_skin_for_boundary() -> None:
+    """The boundary of the volume is the HB-rep, coefficient for coefficient, and cells are certified."""
+    skin = skins.build_skin(shapes.curved_box(), 0.6, 1e-3, splines=True)
+    shell = subdivided(shell_of(skin))
+    domain = complete(shell)
+    check(domain)
+    assert (certify(domain, 1e9).verdict == 1).all()
+    mesh = fill_skin(shell).mesh
+    numbers = numbering(mesh, shell, 3)
+    rows = skin_rows(shell, numbers)
+    for block, own in zip(shell.space.blocks, numbers.skin):
+        assert np.abs((rows @ shell.points)[own] - bezier_coefficients(block, shell.points)).max() < 1e-12
+    assert np.array_equal(domain.points[: shell.space.n], shell.points)
