@@ -10,7 +10,7 @@ Axis letters: e element, n function on the element, c component.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
 import numpy as np
@@ -31,6 +31,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Integrand = Callable[[Chunk], Array]
 Boundary = str | list[str] | tuple[Facets, ...]
+
+_TERMS = 10_000_000
+"""Entries of element matrices that are summed at a time."""
 
 
 def walk(domain: Domain, points: int | None, boundary: Boundary | None) -> Iterator[Chunk]:
@@ -76,19 +79,35 @@ def reference_matrix(
     domain: Domain, integrand: Integrand, points: int | None, boundary: Boundary | None, components: int
 ) -> csr_array:
     """Assemble a matrix by calling the integrand on every chunk; parameters as in `matrix`."""
-    c = components
-    size = domain.space.n * c
-    rows, columns, values = [], [], []
-    for chunk in walk(domain, points, boundary):
-        local = integrand(chunk)
-        index = unknowns(chunk.dofs, c)
-        rows.append(np.broadcast_to(index[:, :, None], local.shape).ravel())
-        columns.append(np.broadcast_to(index[:, None, :], local.shape).ravel())
-        values.append(local.ravel())
-    if not rows:
-        return csr_array((size, size))
-    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return coo_array(entries, shape=(size, size)).tocsr()
+    parts = ((unknowns(chunk.dofs, components), integrand(chunk)) for chunk in walk(domain, points, boundary))
+    return sum_of(parts, domain.space.n * components)
+
+
+def sum_of(parts: Iterable[tuple[Index, Array]], size: int) -> csr_array:
+    """Matrix (size, size) of element matrices, given in parts as unknowns (e, m) and entries (e, m, m).
+
+    Entries are summed whenever some millions have come together, so that memory holds the matrix, not all its terms.
+    """
+    total = csr_array((size, size))
+    waiting: list[tuple[Array, Array, Array]] = []
+    many = 0
+
+    def summed() -> csr_array:
+        values, rows, columns = (np.concatenate(some) for some in zip(*waiting))
+        waiting.clear()
+        return csr_array(total + coo_array((values, (rows, columns)), shape=(size, size)).tocsr())
+
+    for index, local in parts:
+        narrow = index.astype(np.int32 if size < 2**31 else np.int64)
+        waiting.append((
+            local.ravel(),
+            np.broadcast_to(narrow[:, :, None], local.shape).ravel(),
+            np.broadcast_to(narrow[:, None, :], local.shape).ravel(),
+        ))
+        many += local.size
+        if many > max(_TERMS, total.nnz):
+            total, many = summed(), 0
+    return summed() if waiting else total
 
 
 def vector(

@@ -110,11 +110,13 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
             domain, lambda chunk: InitialStrain(*thermal_terms(C, thermal, chunk))(chunk), points, components=3
         )
         f = f + heating
-    system = System(domain, K if springs is None else K + springs, f, fixed, value, 3)
+    if springs is not None:
+        K = K + springs  # one matrix of all is held in memory, not two
+    system = System(domain, K, f, fixed, value, 3)
     clock.lap("assemble_s")
     u, log = system.solve(solver)
     clock.lap("solve_s")
-    energy = 0.5 * float(u @ (K @ u))
+    energy = 0.5 * float(u @ (K @ u if springs is None else K @ u - springs @ u))
     if thermal is not None:
         energy += -float(u @ heating) + thermal_energy(domain, C, thermal, points)
     log = {**log, **clock.times, "energy": energy, "weak": held is not problem.displacement}

@@ -34,6 +34,50 @@ def choose(unknowns: Array, order: Array, covered: Array, chosen: Array) -> None
 
 
 @njit(**OPTIONS)
+def found_aggregates(unknowns: Array, order: Array, label: Array, count: int) -> int:
+    """Give elements, in the given order, most of whose unknowns have no label a new one for these; return the next."""
+    for k in order:
+        present = 0
+        free = 0
+        for i in unknowns[k]:
+            if i >= 0:
+                present += 1
+                if label[i] < 0:
+                    free += 1
+        if free > 0 and 4 * free >= 3 * present:
+            for i in unknowns[k]:
+                if i >= 0 and label[i] < 0:
+                    label[i] = count
+            count += 1
+    return count
+
+
+@njit(**OPTIONS)
+def join_aggregates(unknowns: Array, label: Array, joined: Array) -> None:
+    """Give unknowns without a label the one that most unknowns of their element have."""
+    for k in range(len(unknowns)):
+        waiting = False
+        for i in unknowns[k]:
+            if i >= 0 and joined[i] < 0:
+                waiting = True
+        if not waiting:
+            continue
+        best, most = -1, 0
+        for i in unknowns[k]:
+            if i >= 0 and label[i] >= 0:
+                same = 0
+                for j in unknowns[k]:
+                    if j >= 0 and label[j] == label[i]:
+                        same += 1
+                if same > most:
+                    best, most = label[i], same
+        if best >= 0:
+            for i in unknowns[k]:
+                if i >= 0 and joined[i] < 0:
+                    joined[i] = best
+
+
+@njit(**OPTIONS)
 def _invert_in_place(A: Array) -> None:
     """Gauss-Jordan elimination of a positive definite matrix of unit diagonal; a vanishing pivot's row becomes zero.
 

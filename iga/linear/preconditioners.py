@@ -7,9 +7,10 @@ the number of chosen elements a function is on,
 
 W comes from the degree-one functions on the same cells. For C0 Bernstein spaces these are a subspace (W is degree
 elevation); a spline takes the mean of the linear function's Bernstein coefficients over one of its elements (a local
-quasi-interpolation that keeps constants). The ill-conditioned high Bernstein modes live on one element, where A_k^-1 is
-exact, so that iterations hardly depend on the degree; neighbouring elements overlap in the functions they share
-(Pavarino 1993, doi:10.1007/BF01385709). Where functions are on many elements (splines), enough elements to
+quasi-interpolation that keeps constants). Where that is hardly coarser, as for smooth splines, W has the motions
+without energy on aggregates of elements (`aggregates`). The ill-conditioned high Bernstein modes live on one element,
+where A_k^-1 is exact, so that iterations hardly depend on the degree; neighbouring elements overlap in the functions
+they share (Pavarino 1993, doi:10.1007/BF01385709). Where functions are on many elements (splines), enough elements to
 cover every function are chosen. A_1 = W^T A W is factored if that is cheap and else preconditioned by
 
 smoothed aggregation, for degree one: cycles x = (D+L)^-1 r; x += P A_c^-1 P^T (r - A x); x += (D+U)^-1 (r - A x) around
@@ -40,6 +41,7 @@ from iga.domain import Space
 from iga.errors import InputError
 from iga.kernels import patches as patch_kernels
 from iga.kernels import sparse
+from iga.linear.aggregates import aggregated
 from iga.linear.factorization import estimate, factorize
 from iga.linear.products import on_rows, product
 from iga.parallel import ranges, run, threads
@@ -52,6 +54,8 @@ TINY = 300
 """Unknowns up to which a matrix is always factored."""
 COARSE = 3e10
 """Operations up to which a coarse matrix is factored (a second or so)."""
+COARSER = 4
+"""How many times fewer the degree-one functions must be than the unknowns to serve as coarse space."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,15 +84,34 @@ class Level:
     up: csr_array | None
 
 
-def two_level(K: csr_array, W: csr_array, elements: Sequence[Index], modes: Array) -> Preconditioner:
-    """Additive Schwarz on elements with a degree-one coarse space.
+@dataclass(frozen=True, eq=False)
+class CoarseSpace:
+    """A coarse space: its name, its prolongation W (n, k), and the modes without energy in it (k, m)."""
+
+    name: str
+    W: csr_array
+    modes: Array
+
+
+def degree_one(W: csr_array, modes: Array) -> CoarseSpace:
+    """Coarse space of degree-one functions, from their prolongation (n, k) and the modes of all unknowns (n, m)."""
+    return CoarseSpace("degree one", W, _restrict_modes(W, modes))
+
+
+def on_aggregates(modes: Array, elements: Sequence[Index]) -> CoarseSpace:
+    """Coarse space of the modes (n, m) on aggregates of elements; see `iga.linear.aggregates`."""
+    P = aggregated(modes, elements)
+    return CoarseSpace("modes on aggregates", P, np.asarray(P.T @ modes))
+
+
+def two_level(K: csr_array, coarse: CoarseSpace, elements: Sequence[Index]) -> Preconditioner:
+    """Additive Schwarz on elements with a coarse space.
 
     Parameters
     ----------
     K : (n, n) symmetric positive definite, sorted.
-    W : (n, n_1) prolongation from degree one; without columns there is no coarse space.
+    coarse : without columns there is no coarse space.
     elements : unknowns (e, m) of the elements of each block, -1 for unknowns that are fixed.
-    modes : (n, k) functions of no energy but for boundary conditions (constants, rigid motions).
 
     Raises
     ------
@@ -98,22 +121,22 @@ def two_level(K: csr_array, W: csr_array, elements: Sequence[Index], modes: Arra
     patches, count = _patches(K, elements)
     weight = 1.0 / np.sqrt(np.maximum(count, 1))
     alone = np.where(count == 0, scale**2, 0.0)
-    name, coarse, up, down = "element Schwarz", None, None, None
+    name, correct, W = "element Schwarz", None, coarse.W
     if W.shape[1]:
         A = csr_array(W.T @ csr_array(K @ W))
         A.sum_duplicates()
         up, down = W, csr_array(W.T.tocsr())
         if _cheap(A):
-            coarse, name = factorize(A, symmetric=True).fast, f"{name}, degree one"
+            correct, name = factorize(A, symmetric=True).fast, f"{name}, {coarse.name}"
         else:
-            inner = aggregation(A, _restrict_modes(W, modes))
-            coarse, name = inner.apply, f"{name}, degree one, {inner.name}"
+            inner = aggregation(A, coarse.modes)
+            correct, name = inner.apply, f"{name}, {coarse.name}, {inner.name}"
 
     def apply(r: Array) -> Array:
         size = float(np.abs(r).max(initial=0.0)) or 1.0
         z = alone * r + weight * (_schwarz(patches, (r * (weight / size)).astype(np.float32)) * size)
-        if coarse is not None and up is not None and down is not None:
-            z += product(up, coarse(product(down, r)))
+        if correct is not None:
+            z += product(up, correct(product(down, r)))
         return z
 
     return Preconditioner(name, apply)

@@ -23,7 +23,17 @@ from iga.domain import Domain
 from iga.errors import InputError
 from iga.linear.factorization import Factor, checked, estimate, factorize
 from iga.linear.krylov import Progress, conjugate_gradients
-from iga.linear.preconditioners import Preconditioner, aggregation, linear_prolongation, rigid_motions, two_level
+from iga.linear.preconditioners import (
+    COARSER,
+    CoarseSpace,
+    Preconditioner,
+    aggregation,
+    degree_one,
+    linear_prolongation,
+    on_aggregates,
+    rigid_motions,
+    two_level,
+)
 from iga.linear.products import absolute_product, product
 from iga.linear.supports import require_held
 
@@ -289,7 +299,7 @@ def _solve_cg(task: _Task, f: Array, free: Index, inner: csr_array | None, began
         modes = layout.modes(K.shape[0])
         modes[held] = 0.0
         if W is not None:
-            M = two_level(inner, _inside(W, c, held), layout.elements(held), modes[keep])
+            M = two_level(inner, _coarse(layout, W, held, modes), layout.elements(held))
         else:
             order = _ordering(inner, block)
             keep = keep[order]
@@ -321,11 +331,18 @@ def preconditioner_for(
     domain, constraint : where the unknowns live, as for `solve`.
     """
     layout = _layout(domain, constraint, len(held))
-    modes = layout.modes(len(held))[~held]
+    modes = layout.modes(len(held))
     W = layout.prolongation()
     if W is None:
-        return aggregation(K, modes)
-    return two_level(K, _inside(W, layout.components, held), layout.elements(held), modes)
+        return aggregation(K, modes[~held])
+    return two_level(K, _coarse(layout, W, held, modes), layout.elements(held))
+
+
+def _coarse(layout: _Layout, W: csr_array, held: NDArray[np.bool_], modes: Array) -> CoarseSpace:
+    """Degree-one functions where they are few (W for one component), else modes (N, m) on aggregates of elements."""
+    if COARSER * W.shape[1] <= W.shape[0]:
+        return degree_one(_inside(W, layout.components, held), modes[~held])
+    return on_aggregates(modes[~held], layout.elements(held))
 
 
 def _solve_operator(

@@ -15,9 +15,10 @@ from iga.conditions import dirichlet, trace_functions
 from iga.conforming import Complex, straight_domain
 from iga.domain import Domain, Facets, Space
 from iga.errors import ConvergenceError, InputError
-from iga.integrands import Diffusion, Elasticity, Load, isotropic
+from iga.integrands import Diffusion, Elasticity, Load, Mass, isotropic
 from iga.linear import factorization
-from iga.linear.preconditioners import linear_prolongation
+from iga.linear.aggregates import aggregated, aggregates
+from iga.linear.preconditioners import linear_prolongation, rigid_motions
 from iga.linear.solvers import factorize, solve
 from iga.norms import errors
 from tests.meshes import bend, box_complex, mixed_complex
@@ -107,6 +108,28 @@ def test_iterations_on_splines(degree: int) -> None:
         domain = spline_cube(n, degree, 0.3)
         left = trace_functions(domain, domain.boundaries["x0"])
         assert loaded(domain, left, False, "cg")[1] <= {2: 40, 3: 55, 4: 80}[degree]
+
+
+def test_coarse_space_of_splines_is_small_and_holds_the_modes() -> None:
+    """Every unknown is in one aggregate; rigid motions lie in the coarse space; it has few functions."""
+    domain = spline_cube(8, 3, 0.3)
+    dofs = np.concatenate([block.dofs for block in domain.space.blocks])
+    label, count = aggregates(domain.space.n, [dofs])
+    assert label.min() == 0
+    assert label.max() == count - 1 < domain.space.n / 20
+    modes = rigid_motions(domain.points)
+    P = aggregated(modes, [(dofs[:, :, None] * 3 + np.arange(3)).reshape(len(dofs), -1)])
+    assert P.shape == (3 * domain.space.n, 6 * count)
+    np.testing.assert_allclose((P.T @ P).toarray(), np.eye(6 * count), atol=1e-9)
+    np.testing.assert_allclose(P @ (P.T @ modes), modes, atol=1e-9)
+
+
+def test_sums_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Boundary matrices do not depend on how many terms are summed at a time."""
+    domain = spline_cube(3, 2, 0.3)
+    whole = matrix(domain, Mass(), boundary="*").toarray()
+    monkeypatch.setattr("iga.assembly._TERMS", 1000)
+    np.testing.assert_allclose(matrix(domain, Mass(), boundary="*").toarray(), whole, atol=1e-15)
 
 
 def loaded(domain: Domain, left: np.ndarray, elastic: bool, solver: str) -> tuple[np.ndarray, int]:
