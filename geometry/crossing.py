@@ -43,7 +43,7 @@ def crossing_pairs(points: Array, triangles: Index, owner: Index | None = None, 
 
 @njit(cache=True)
 def _volume_sign(a: Array, b: Array, c: Array, d: Array) -> int:
-    """Sign of det(b - a, c - a, d - a); 0 within rounding."""
+    """Sign of det(b - a, c - a, d - a); 0 within the rounding of the points and of the computation."""
     bx, by, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     cx, cy, cz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     dx, dy, dz = d[0] - a[0], d[1] - a[1], d[2] - a[2]
@@ -53,6 +53,12 @@ def _volume_sign(a: Array, b: Array, c: Array, d: Array) -> int:
         + abs(by) * (abs(cx * dz) + abs(cz * dx))
         + abs(bz) * (abs(cx * dy) + abs(cy * dx))
     )
+    # Coordinates are known to a unit in their last place, so sides are, however short.
+    m = 0.0
+    for k in range(3):
+        m = max(m, abs(a[k]), abs(b[k]), abs(c[k]), abs(d[k]))
+    B, C, D = abs(bx) + abs(by) + abs(bz), abs(cx) + abs(cy) + abs(cz), abs(dx) + abs(dy) + abs(dz)
+    size += 0.05 * m * (B * C + C * D + D * B)
     if abs(det) <= 1e-14 * size:
         return 0
     return 1 if det > 0 else -1
@@ -64,6 +70,8 @@ def _pierces(p: Array, q: Array, a: Array, b: Array, c: Array) -> bool:
     if _volume_sign(a, b, c, p) * _volume_sign(a, b, c, q) >= 0:
         return False
     one, two, three = _volume_sign(p, q, a, b), _volume_sign(p, q, b, c), _volume_sign(p, q, c, a)
+    if one == 0 and two == 0 and three == 0:  # the segment lies in the plane
+        return False
     return (one >= 0 and two >= 0 and three >= 0) or (one <= 0 and two <= 0 and three <= 0)
 
 
