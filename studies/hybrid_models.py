@@ -7,7 +7,10 @@ solid by solid where a file has several. A solid that is refused has a row that 
 ``exact`` is the share of the skin's area within 1e-12 of the diagonal of the CAD surface, ``gap`` the largest distance
 between the two sides of an edge of the skin, ``distance`` that of the skin to the CAD surfaces, both relative to the
 diagonal, ``jump`` the largest jump of a random field with coefficients in [-1, 1], and of the map relative to the
-diagonal, across all facets between two cells at random points (`geometry.hybrid.conformity`), and ``volume_error`` is relative to the volume that the CAD kernel integrates. ``read``, ``skin`` and
+diagonal, across all facets between two cells at random points (`geometry.hybrid.conformity`). ``volume_error`` is
+relative to the volume that the CAD kernel integrates, ``surfaces_error`` to the integral over the CAD surfaces between
+their trimming curves, and ``spread`` is how well either is defined: what they change when the integral is taken about
+another point, because the file's faces do not meet exactly (`geometry.hybrid.integrals`). ``read``, ``skin`` and
 ``inside`` are seconds of the stages, ``cpu`` those of the processor, in all.
 """
 
@@ -50,6 +53,8 @@ COLUMNS = (
     Column("jump", at_most=1e-12, format=".1e"),
     Column("distance", relative=0.5, absolute=1e-6, format=".1e"),
     Column("volume_error", at_most=1e-4, format=".1e"),
+    Column("surfaces_error", at_most=1e-4, format=".1e"),
+    Column("spread", at_most=1e-3, format=".1e"),
     Column("read", "time", "s"),
     Column("skin", "time", "s"),
     Column("inside", "time", "s"),
@@ -135,7 +140,9 @@ def row_of(name: str, found: dict[str, Any]) -> dict[str, Value]:
         "elements": sum(found["elements"].values()), "functions": found["functions"], "refuted": proof["refuted"],
         "undecided": proof["undecided"], "exact": report["exact_area_share"], "gap": report["watertight_gap"],
         "distance": found["distance"]["relative"],
-        "volume_error": abs(found["volume"] / report["cad_volume"] - 1.0), "read": stages.get("read"),
+        "volume_error": abs(found["volume"] / report["cad_volume"] - 1.0),
+        "surfaces_error": abs(found["volume"] / report["surfaces_volume"] - 1.0), "spread": report["volume_spread"],
+        "read": stages.get("read"),
         "skin": stages.get("skin"), "inside": stages.get("inside"), "seconds": found["seconds"],
     }  # fmt: skip
 

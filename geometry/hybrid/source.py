@@ -30,6 +30,10 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
                 everything again, so that the skin comes nearer to the CAD surfaces
                 The report says in numbers what was preserved (`comparison`)
 
+The report sets the volume against the CAD kernel's (``cad_volume``), against the integral over the CAD surfaces between
+their trimming curves (``surfaces_volume``), and says how well either is defined where the file's faces do not meet
+(``volume_spread``, relative; see `integrals`).
+
 The input is a STEP or IGES file, or the name of a shape (`shapes`). Boundaries carry the names of the CAD faces.
 """
 
@@ -46,6 +50,7 @@ from geometry.hybrid import refinement
 from geometry.hybrid.brep import Brep
 from geometry.hybrid.cad import cad_format, read_cad
 from geometry.hybrid.comparison import preserved
+from geometry.hybrid.integrals import integrals_of, volume_spread
 from geometry.hybrid.hexes import has_hexes, with_hexes, with_tets
 from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.settings import NAME, Settings, parse
@@ -132,7 +137,11 @@ def _built(brep: Brep, settings: Settings, source: str, shown: Progress) -> tupl
     distance = skin.report.get("max_distance")
     told = {key: value for key, value in skin.report.items() if key not in ("volume", "elements", "max_distance")}
     stages = {"skin": made - began, "inside": perf_counter() - made}
-    told |= {"skin": kind, "cad_faces": len(brep.faces), "cad_volume": brep.volume, "stages": stages}
+    exact = integrals_of(brep)
+    told |= {
+        "skin": kind, "cad_faces": len(brep.faces), "cad_volume": brep.volume,
+        "surfaces_volume": float(exact.volume.sum()), "volume_spread": volume_spread(brep, exact), "stages": stages,
+    }  # fmt: skip
     if distance is not None:
         reach = float(distance) * brep.diagonal
         told["distance"] = {"to_input": reach, "from_input": None, "relative": float(distance)}
