@@ -7,13 +7,20 @@ A bent box minus another (`shapes.curved_difference`), cubic functions (p = 3), 
     pyramids    quadrilaterals on the skin where they are the CAD surface, a pyramid on each, tetrahedra inside
     layers      wedges under the skin's triangles, tetrahedra inside
     hexes       the tetrahedra turned into four hexahedra each
+    part        tetrahedra in block_through_hole.step, at full size where the data folder is there
 
 Errors are relative; ``h`` is the cube root of the volume over the number of cells of the plain tetrahedra at the same
-level. Rates of theory are p + 1 in L2 and p in H1, observed over the last pair.
+level (of its own for ``part``). Rates of theory are p + 1 in L2 and p in H1, observed over the last pair.
+
+The rate between levels 0 and 1 falls short by about 0.7 whatever the first mesh, because what is approximated on a
+cell is the solution after the cell's own cubic map, and a cell of the first mesh spans the bends of the skin beside a
+trimming curve. Cutting a cell halves the first derivatives of its map and divides the second ones by four: from level 1
+on maps are nearly affine, and rates are within 0.2, from level 2 on within 0.1.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,6 +30,7 @@ from iga.domain import Domain, counts
 from iga.progress import Progress
 from problems import solve_exact
 from studies.figures import Series, convergence, drawing
+from studies.hybrid_models import DATA
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Table, Value, table
 
@@ -51,30 +59,36 @@ EXACT = {
     "elasticity": "sin(x)*cos(1.3*y);exp(0.5*x)*sin(z);cos(y)*sin(1.2*z)",
 }
 SOLID = "curved_difference"
-SETTINGS: dict[str, Any] = {"size": 0.5, "tolerance": 1e-3, "subdivide": 0}
+PART, LENGTH = "block_through_hole.step", 25.0
+"""A real part, and the length in its units by which arguments of the exact solution are divided."""
+SETTINGS: dict[str, Any] = {"size": 0.3, "tolerance": 1e-3, "subdivide": 0}
 VARIANTS: dict[str, dict[str, Any]] = {
     "tets": {}, "pyramids": {"skin": "hybrid"}, "layers": {"layers": 3}, "hexes": {"convert": "hex4"},
 }
+LEVELS: dict[str, dict[str, tuple[int, int]]] = {
+    "ci": {"tets": (3, 2), "pyramids": (2, 1), "layers": (1, 1), "hexes": (1, 1)},
+    "full": {"tets": (4, 4), "pyramids": (3, 3), "layers": (3, 3), "hexes": (2, 2), "part": (3, 3)},
+}
+"""Levels for heat and for elasticity."""
 
 
 def run(size: Size, progress: Progress) -> Result:
     """Solve on all variants and levels."""
     rows: list[dict[str, Value]] = []
-    volume: float | None = None
-    for variant, own in progress.track(VARIANTS.items(), "variants"):
-        domain = geometry.build(SOLID, "hybrid", **SETTINGS, **own)
-        levels = (1 if variant in ("hexes", "layers") else 2) if size == "ci" else (2 if variant == "hexes" else 3)
-        for level in range(levels):
+    for variant, levels in progress.track(LEVELS[size].items(), "variants"):
+        if variant == "part" and not (DATA / PART).is_file():
+            continue
+        text, own = (str(DATA / PART), {}) if variant == "part" else (SOLID, SETTINGS | VARIANTS[variant])
+        domain = geometry.build(text, "hybrid", **{"subdivide": 0, **own})
+        if variant in ("tets", "part"):
+            h = (domain.report["cad_volume"] / sum(counts(domain).values())) ** (1.0 / 3.0)
+        for level in range(max(levels)):
             if level:
                 domain = geometry.refine(domain)
-            volume = volume or float(domain.report["cad_volume"])
-            for problem, formula in EXACT.items():
-                if problem == "heat" or size == "full" or level == 0:
-                    rows.append(_row(variant, problem, level, domain, formula))
-    first = next(r for r in rows if r["variant"] == "tets")
-    h = (cast(float, volume) / cast(int, first["cells"])) ** (1.0 / 3.0)
-    for row in rows:
-        row["h"] = h / 2.0 ** cast(int, row["level"])
+            for (problem, formula), most in zip(EXACT.items(), levels):
+                if level < most:
+                    scaled = re.sub(r"\b[xyz]\b", rf"(\g<0>/{LENGTH})", formula) if variant == "part" else formula
+                    rows.append(_row(variant, problem, level, domain, scaled) | {"h": h / 2.0**level})
     made = table(NAME, COLUMNS, rows, SLOPES)
     return Result(made, (Figure("rates", lambda path: _draw(path, made), "Errors on a trimmed solid"),), _said(made))
 
@@ -94,13 +108,12 @@ def _said(made: Table) -> str:
     names = [column.name for column in made.columns]
     rows = [dict(zip(names, row)) for row in made.rows]
     rates = made.rates()
-    if not rates:
-        return "One level alone: no rates."
-    short = max(rate.expected - rate.last for rate in rates if rate.expected is not None)
+    short = max((rate.expected - rate.last for rate in rates if rate.expected and rate.levels > 2), default=0.0)
     plain = max((r for r in rows if r["variant"] == "tets"), key=lambda r: cast(int, r["level"]))
     return (
-        f"Over the last pair of levels rates fall short of p + 1 in L2 and p in H1 by {short:.2f} at most; the finest "
-        f"tetrahedra have {plain['functions']} functions and an H1 error of {plain['h1_error']:.1e}."
+        f"Where there are three levels or more, rates over the last pair fall short of p + 1 in L2 and p in H1 by "
+        f"{short:.2f} at most; the finest tetrahedra have {plain['functions']} functions and an H1 error of "
+        f"{plain['h1_error']:.1e}. Rates between the first two levels are not those of the limit."
     )
 
 
@@ -110,7 +123,7 @@ def _draw(path: Path, made: Table) -> None:
     with drawing(path, 1, 2) as panels:
         for axes, norm, text in ((panels[0], "l2_error", "L^2"), (panels[1], "h1_error", "H^1")):
             lines = []
-            for family, variant in enumerate(VARIANTS):
+            for family, variant in enumerate(dict.fromkeys(r["variant"] for r in rows)):
                 for problem in EXACT:
                     mine = [r for r in rows if r["variant"] == variant and r["problem"] == problem]
                     x = [cast(float, r["functions"]) for r in mine]

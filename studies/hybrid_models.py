@@ -81,7 +81,8 @@ def run(size: Size, progress: Progress) -> Result:
         row, domain = _shape(name, shape, settings)
         rows.append(row)
         if domain is not None:
-            figures.append(Figure(name.replace(", ", "_"), partial(_draw, domain), f"{name}: elements, coloured by CAD face."))
+            text = f"{name}: elements, coloured by CAD face."
+            figures.append(Figure(name.replace(", ", "_"), partial(_draw, domain), text))
     files = sorted(p for p in DATA.glob("*") if p.suffix.lower() in (".step", ".stp", ".iges", ".igs"))
     with tempfile.TemporaryDirectory() as folder:
         for path in progress.track(files if size == "full" else [], "files"):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.hybrid.brep import Brep, Face
-from geometry.hybrid.chart import chart_points, line_normals, line_points
+from geometry.hybrid.chart import Chart, chart_points, line_frames, line_normals, line_points
 from geometry.hybrid.curves import fit_cubics
 from geometry.hybrid.facemesh import FaceMesh, interior_pairs
 from geometry.hybrid.fitting import BICUBIC, CUBIC, INNER, INNER_QUAD, bezier_nets, fit_quads, fit_triangles
@@ -168,7 +168,7 @@ def _quad_sides(
             box = np.stack([made.low, made.high], axis=1)
             a, b = (box[:, [i, j], [0, 1]] for i, j in (_CORNERS[k], _CORNERS[(k + 1) % 4]))
             line = (face, None, a, b)
-            control, _ = fit_cubics(partial(line_points, *line), x[start], x[end], partial(line_normals, *line))
+            control = _on_lines(line, x[start], x[end])
         else:
             control = net[:, SIDES[k]]
         for a, b, own in zip(start.tolist(), end.tolist(), control):
@@ -183,10 +183,15 @@ def _triangle_sides(face: Face, made: FaceMesh, x: Array, sides: Coefficients) -
     local, ends = np.array(list(pairs)), np.array(list(pairs.values()))
     local = np.where((made.vertices[local[:, 0]] == ends[:, 0])[:, None], local, local[:, ::-1])
     line = (face, made.chart, made.points[local[:, 0]], made.points[local[:, 1]])
-    control, _ = fit_cubics(
-        partial(line_points, *line), x[ends[:, 0]], x[ends[:, 1]], partial(line_normals, *line)
-    )
+    control = _on_lines(line, x[ends[:, 0]], x[ends[:, 1]])
     sides.update(zip(map(tuple, ends.tolist()), control[:, 1:3]))
+
+
+def _on_lines(line: tuple[Face, Chart | None, Array, Array], start: Array, end: Array) -> Array:
+    """Cubics (m, 4, 3) from start to end near straight lines of a chart, on the surface."""
+    smooth = line[1] is None or not line[1].poles
+    frames = partial(line_frames, *line) if smooth else None
+    return fit_cubics(partial(line_points, *line), start, end, partial(line_normals, *line), frames=frames)[0]
 
 
 class _SideTable:

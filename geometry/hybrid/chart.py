@@ -135,6 +135,23 @@ def line_points(face: Face, chart: Chart | None, a: Array, b: Array, s: Array) -
     return surface_points(face.surface, _line(chart, a, b, s)).reshape(*s.shape, 3)
 
 
+def line_frames(face: Face, chart: Chart | None, a: Array, b: Array, s: Array) -> tuple[Array, Array]:
+    """Points (m, k, 3) of such lines and derivatives in s; the chart has no pole on them."""
+    way = np.broadcast_to((b - a)[:, None], (*s.shape, 2)).reshape(-1, 2)
+    q = (a[:, None] + s[..., None] * (b - a)[:, None]).reshape(-1, 2)
+    if chart is not None:
+        v, slope = chart.origin + q[:, 1] / chart.scale, way[:, 1] / chart.scale
+        w = _widths(chart, v)
+        steeper = 0.0 if isinstance(chart.width, float) else np.asarray(chart.width(v, 1))
+        u = q[:, 0] / w
+        way = np.stack([(way[:, 0] - u * steeper * slope) / w, slope], axis=1)
+        q = np.stack([chart.centre + u, v], axis=1)
+        if chart.swapped:
+            q, way = _turned(q), _turned(way)
+    x, du, dv = surface_frame(face.surface, q)
+    return x.reshape(*s.shape, 3), (du * way[:, :1] + dv * way[:, 1:]).reshape(*s.shape, 3)
+
+
 def line_normals(face: Face, chart: Chart | None, a: Array, b: Array, s: Array) -> Array:
     """Unit normals of the surface along such lines; a little beside their ends, which may be poles."""
     _, du, dv = surface_frame(face.surface, _line(chart, a, b, np.clip(s, 1e-3, 1.0 - 1e-3)))

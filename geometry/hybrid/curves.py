@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 CurvePoints = Callable[[Array], Array]
 """Points (m, k, c) of all pieces at local parameters (m, k) in [0, 1]."""
+CurveFrames = Callable[[Array], tuple[Array, Array]]
+"""Points and derivatives, each (m, k, c)."""
 
 _SAMPLES = 9
 _STEP = 1e-4
@@ -42,8 +44,9 @@ def _cubic(t: Array) -> Array:
 
 
 def fit_cubics(
-    points: CurvePoints, start: Array, end: Array, normals: CurvePoints | None = None, rounds: int = 4
-) -> tuple[Array, Array]:
+    points: CurvePoints, start: Array, end: Array, normals: CurvePoints | None = None, rounds: int = 4,
+    frames: CurveFrames | None = None,
+) -> tuple[Array, Array]:  # fmt: skip
     """Cubic pieces nearest to curves.
 
     Parameters
@@ -52,14 +55,16 @@ def fit_cubics(
     start, end : (m, 3) where pieces begin and end.
     normals : unit normals of the surface that the curves lie on, where it only matters that pieces lie on it too; the
         distance then is the one along the normal.
+    frames : points and derivatives at once, where derivatives are known.
 
     Returns
     -------
     (m, 4, 3) control points, and (m,) the largest distance of samples of a piece from its curve.
     """
     m = len(start)
+    both = frames or (lambda s: (points(s), tangents(points, s)))
     t = np.linspace(0.0, 1.0, _SAMPLES + 2)[1:-1]
-    ends = tangents(points, np.repeat([[0.0, 1.0]], m, axis=0))
+    ends = both(np.repeat([[0.0, 1.0]], m, axis=0))[1]
     d0, d1 = ends[:, 0], ends[:, 1]
     lengths = np.full((m, 2), 1.0 / 3.0)
     table = _cubic(t)
@@ -71,10 +76,10 @@ def fit_cubics(
         control = np.stack([start, start + lengths[:, :1] * d0, end - lengths[:, 1:] * d1, end], axis=1)
         b = bezier_points(control, t)
         for _ in range(2):
-            x, dx = points(s), tangents(points, s)
+            x, dx = both(s)
             square = np.einsum("mkc,mkc->mk", dx, dx) + 1e-300
             s = np.clip(s + np.einsum("mkc,mkc->mk", b - x, dx) / square, 0.0, 1.0)
-        x, dx = points(s), tangents(points, s)
+        x, dx = both(s)
         unit = dx / np.sqrt(np.einsum("mkc,mkc->mk", dx, dx) + 1e-300)[..., None]
         n = None if normals is None else normals(s)
         r = _across(x - b, unit, n)

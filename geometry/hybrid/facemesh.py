@@ -348,22 +348,23 @@ def _smooth(
     _, du, dv = surface_frame(face.surface, uv[used])
     normal = np.cross(du, dv)
     flags = np.zeros(len(used), dtype=bool)
-    times = Counter(np.concatenate(part).tolist())
-    for ring in part:
-        for before, at, after in zip(np.roll(ring, 1).tolist(), ring.tolist(), np.roll(ring, -1).tolist()):
-            k = int(np.searchsorted(used, at))
-            if times[at] == 1:
-                flags[k] = _inner_angle(sides[before, at][1], sides[at, after][0], normal[k]) > SMOOTH
+    before, at, after = (np.concatenate([np.roll(ring, step) for ring in part]) for step in (1, 0, -1))
+    once = np.bincount(np.searchsorted(used, at), minlength=len(used))[np.searchsorted(used, at)] == 1
+    before, at, after = before[once], at[once], after[once]
+    if len(at):
+        arriving = np.array([sides[pair][1] for pair in zip(before.tolist(), at.tolist())])
+        leaving = np.array([sides[pair][0] for pair in zip(at.tolist(), after.tolist())])
+        place = np.searchsorted(used, at)
+        flags[place] = _inner_angles(arriving, leaving, normal[place]) > SMOOTH
     return flags
 
 
-def _inner_angle(arriving: Array, leaving: Array, normal: Array) -> float:
-    """Angle inside a region on the left of a boundary that arrives and leaves along given directions."""
-    size = np.linalg.norm(normal)
-    if size == 0.0:
-        return 0.0
-    turn = np.arctan2(np.dot(np.cross(arriving, leaving), normal / size), np.dot(arriving, leaving))
-    return float(np.pi - turn)
+def _inner_angles(arriving: Array, leaving: Array, normal: Array) -> Array:
+    """Angles (k,) inside a region on the left of a boundary that arrives and leaves along given directions (k, 3)."""
+    size = np.linalg.norm(normal, axis=1)
+    across = np.einsum("kc,kc->k", np.cross(arriving, leaving), normal) / np.where(size > 0.0, size, 1.0)
+    turn = np.arctan2(across, np.einsum("kc,kc->k", arriving, leaving))
+    return np.where(size > 0.0, np.pi - turn, 0.0)
 
 
 def _frame(face: Face, chart: Chart, at: Array, middle: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-r"""Volume and area of a trimmed B-rep from its own surfaces and trimming curves, by Green's theorem in parameter planes.
+r"""Volume and area of a trimmed B-rep from its surfaces and trimming curves, by Green's theorem in parameter planes.
 
 For a face with surface S over Omega and outward normal n = +-S_u x S_v
 

@@ -50,8 +50,8 @@ from geometry.hybrid import refinement
 from geometry.hybrid.brep import Brep
 from geometry.hybrid.cad import cad_format, read_cad
 from geometry.hybrid.comparison import preserved
-from geometry.hybrid.integrals import integrals_of, volume_spread
 from geometry.hybrid.hexes import has_hexes, with_hexes, with_tets
+from geometry.hybrid.integrals import integrals_of, volume_spread
 from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.settings import NAME, Settings, parse
 from geometry.hybrid.shapes import SHAPES
