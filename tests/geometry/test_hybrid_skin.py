@@ -87,15 +87,15 @@ def test_crossing_triangles_are_found() -> None:
     assert len(crossing_pairs(x, np.array([(0, 1, 2), (0, 4, 5)]))) == 0
 
 
-@pytest.mark.parametrize("last", [-2, -1, 0, 1, 2])
-def test_triangles_beside_each_other_in_a_plane_do_not_cross(last: int) -> None:
-    """Edges along an axis, coordinates that differ in their last place: every volume is rounding."""
-    low, high = 20.0 / 3.0, 10.0
-    off = last * np.spacing(low)
-    x = np.array([(12.5, 0, low), (15.6, 0, low), (14.1, 3.4, high)])
-    x = np.concatenate([x, x + [6.2, 0.0, off]])
-    for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
-        assert len(crossing_pairs(x[:, order], np.array([(0, 1, 2), (3, 4, 5)]))) == 0
+def test_triangles_beside_each_other_in_a_plane_do_not_cross() -> None:
+    """Sides along an axis, coordinates that differ in their last places: every volume is rounding."""
+    x = np.array([
+        (12.519612409583223, 0.0, 6.666666666666714), (15.636300238439262, 0.0, 6.666666666666714),
+        (14.077956324011694, 3.418710189269282, 10.000000000000071),
+        (18.75298806729891, 0.0, 6.666666666666715), (21.869675896155336, 0.0, 6.666666666666715),
+        (20.31133198172747, 3.41871018926938, 10.000000000000073),
+    ])  # fmt: skip
+    assert len(crossing_pairs(x, np.array([(0, 1, 2), (3, 4, 5)]))) == 0
 
 
 @pytest.mark.parametrize(("name", "share"), [("bracket", 0.7), ("curved_difference", -1.0)])
