@@ -115,14 +115,43 @@ def to_parameters(chart: Chart, q: Array) -> Array:
     return _turned(uv) if chart.swapped else uv
 
 
+def widths(chart: Chart, q: Array) -> Array:
+    """Values (q,) of w at chart points (q, 2)."""
+    return _widths(chart, chart.origin + q[:, 1] / chart.scale)
+
+
 def parameter_steps(chart: Chart, q: Array, step: Array) -> Array:
     """Derivative (q, 2) of the parameters along steps (q, 2) in the chart; not at poles."""
-    v = chart.origin + q[:, 1] / chart.scale
-    w = _widths(chart, v)
-    slope = np.zeros(len(v)) if isinstance(chart.width, float) else np.asarray(chart.width(v, 1))
+    w, slope, _ = _width_jet(chart, chart.origin + q[:, 1] / chart.scale)
     dv = step[:, 1] / chart.scale
     uv = np.stack([step[:, 0] / w - q[:, 0] * slope * dv / w**2, dv], axis=1)
     return _turned(uv) if chart.swapped else uv
+
+
+def parameter_bends(chart: Chart, q: Array, first: Array, second: Array) -> Array:
+    """Second derivative (q, 2) of the parameters along two steps (q, 2) in the chart; not at poles."""
+    w, slope, bend = _width_jet(chart, chart.origin + q[:, 1] / chart.scale)
+    dv, ev = first[:, 1] / chart.scale, second[:, 1] / chart.scale
+    u = q[:, 0] * dv * ev * (2.0 * slope**2 / w**3 - bend / w**2)
+    u -= (first[:, 0] * ev + second[:, 0] * dv) * slope / w**2
+    uv = np.stack([u, np.zeros(len(u))], axis=1)
+    return _turned(uv) if chart.swapped else uv
+
+
+def chart_steps(chart: Chart, uv: Array, step: Array) -> Array:
+    """Derivative (q, 2) of the chart along steps (q, 2) of the parameters."""
+    if chart.swapped:
+        uv, step = (np.stack([-x[:, 1], x[:, 0]], axis=1) for x in (uv, step))
+    w, slope, _ = _width_jet(chart, uv[:, 1])
+    x = w * step[:, 0] + slope * step[:, 1] * (uv[:, 0] - chart.centre)
+    return np.stack([x, chart.scale * step[:, 1]], axis=1)
+
+
+def _width_jet(chart: Chart, v: Array) -> tuple[Array, Array, Array]:
+    """Values of w and its first two derivatives."""
+    if isinstance(chart.width, float):
+        return np.full(len(v), chart.width), np.zeros(len(v)), np.zeros(len(v))
+    return _widths(chart, v), np.asarray(chart.width(v, 1)), np.asarray(chart.width(v, 2))
 
 
 def chart_points(chart: Chart, q: Array) -> Array:

@@ -41,6 +41,8 @@ LARGE = 3.0
 """Cells larger than this many times the wanted size are left to triangles."""
 SLENDER = 8.0
 """Largest ratio of sides."""
+POLAR = 4.0
+"""The same on faces with a pole, towards which cells become narrow."""
 SKEWED = 0.25
 """Least sine of the angle between parameter lines."""
 MOST = 40_000
@@ -257,7 +259,8 @@ def make_grid(brep: Brep, number: int, lines: tuple[Array, Array], sizing: Sizin
         kept &= ~banned
     chosen = np.flatnonzero(kept.ravel())
     if len(chosen):
-        kept.ravel()[chosen] = _well_shaped(surface, lines, chosen, n, sizing)
+        polar = any(brep.edges[c.edge].degenerate for loop in face.loops for c in loop)
+        kept.ravel()[chosen] = _well_shaped(surface, lines, chosen, n, sizing, POLAR if polar else SLENDER)
     return Grid(lines, kept, inside, crossed)
 
 
@@ -274,7 +277,9 @@ def _mark(c: Coedge, lines: tuple[Array, Array], crossed: Mask) -> None:
     crossed |= np.asarray((near[0].T.astype(np.float64) @ near[1].astype(np.float64)) > 0.0)
 
 
-def _well_shaped(surface: Patch, lines: tuple[Array, Array], chosen: Index, n: int, sizing: Sizing) -> Mask:
+def _well_shaped(
+    surface: Patch, lines: tuple[Array, Array], chosen: Index, n: int, sizing: Sizing, slender: float
+) -> Mask:
     i, j = chosen // n, chosen % n
     corner = np.stack([
         np.stack([lines[0][i + a], lines[1][j + b]], axis=1) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))
@@ -288,7 +293,7 @@ def _well_shaped(surface: Patch, lines: tuple[Array, Array], chosen: Index, n: i
     regular = (sine.reshape(-1, 4) > SKEWED).all(axis=1)
     x = x.reshape(-1, 4, 3)
     side = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2)
-    regular &= side.max(axis=1) < SLENDER * side.min(axis=1)
+    regular &= side.max(axis=1) < slender * side.min(axis=1)
     wanted = size_at(sizing, x.mean(axis=1))
     return np.asarray(regular & (side.max(axis=1) < LARGE * wanted))
 

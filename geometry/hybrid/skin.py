@@ -168,7 +168,9 @@ def build_skin(
         if len(finer.sizing.points) == 0 or stuck == PATIENCE:
             break
         if stuck or best[0] < badness:  # what folds or is cut although elements were made smaller goes without
-            without.update(dict.fromkeys(finer.faulty & set(cells), "its quadrilaterals fold or are cut"))
+            dropped = finer.faulty & set(cells)
+            without.update(dict.fromkeys(dropped, "its quadrilaterals fold or are cut"))
+            stuck = 0 if dropped else stuck
         cells = {f: min(most, finer.cells.get(f, most)) for f, most in cells.items() if f not in without}
         sizing = Sizing(
             np.concatenate([sizing.points, finer.sizing.points]), np.concatenate([sizing.size, finer.sizing.size])

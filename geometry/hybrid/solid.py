@@ -18,7 +18,7 @@ Each face's B-splines have the CAD surface's knots, with its continuity, and sim
 face's grid: the h-refinement of the trimmed B-rep before the HB-rep is built. Weights do not enter: a rational surface,
 or one of a higher degree, is replaced by a bicubic polynomial spline within a share of the tolerance (`splined`), with
 a proved bound of the distance where the degree allows, because the curves in space, that neighbours share, carry no
-weights. Faces with a pole, or without a quadrilateral, keep C0 functions of their own.
+weights. Triangles near a pole, and faces without a quadrilateral, keep C0 functions of their own.
 
 Axis letters: b Bernstein function, i function, e element, c component.
 """
@@ -36,13 +36,13 @@ from scipy.sparse import coo_array, csr_array
 from geometry.hybrid.assembling import SIDES, TURNED, Assembled, Part
 from geometry.hybrid.bound import FEET, distance_bound
 from geometry.hybrid.brep import Brep, Face, curve_points, surface_frame, surface_points
-from geometry.hybrid.chart import parameter_steps, to_parameters
+from geometry.hybrid.chart import chart_steps, parameter_bends, parameter_steps, to_parameters, widths
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.facemesh import FaceMesh
-from geometry.hybrid.fitting import BICUBIC, CUBIC, measure_quads, measure_triangles, project
+from geometry.hybrid.fitting import BICUBIC, CUBIC, fit_triangles, measure_quads, measure_triangles, project
 from geometry.hybrid.grid import ALONG
 from geometry.hybrid.hbrep import polynomial_surface, tensor_rows
-from geometry.hybrid.strip import OTHERS, inner_rows, side_rows, vertex_rows
+from geometry.hybrid.strip import OTHERS, inner_rows, phi_of, side_rows, vertex_rows
 from geometry.knots import apply, insertion
 from geometry.patch import Patch
 from iga.block import Block
@@ -53,8 +53,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-SHARE = 0.25
+SHARE = 0.5
 """Share of the tolerance that replacing a rational surface by a polynomial spline may use."""
+NARROWS = 3.0
+"""How much the chart of a face may narrow towards a pole within a triangle that has the B-splines' functions."""
 ZERO = 1e-13
 DEPENDENT = 1e-6
 """Diagonal of QR, relative to the first, below which a function beside the curves is a combination of others."""
@@ -129,20 +131,8 @@ def splined(brep: Brep, tolerance: float) -> Splined:
             surface = face.surface
         if not exact and f not in without:
             apart[f], proved[f] = _apart(face, surface)
-        if f not in without and _has_pole(face):
-            without[f] = "a pole"
         faces.append(replace(face, surface=surface))
     return Splined(replace(brep, faces=tuple(faces)), apart, proved, without)
-
-
-def _has_pole(face: Face) -> bool:
-    """Whether a curve of a face is a point in space."""
-    extent = float(np.ptp(face.surface.control.reshape(-1, 3), axis=0).max())
-    t = np.linspace(0.0, 1.0, 9)
-    return any(
-        float(np.ptp(surface_points(face.surface, curve_points(c.curve, t)), axis=0).max()) < 1e-9 * extent
-        for loop in face.loops for c in loop
-    )
 
 
 def _apart(face: Face, made: Patch) -> tuple[float, bool]:
@@ -215,18 +205,43 @@ def seal(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> Sealed:
         numbers.append(np.where(place < 0, -1, n + place))
         n += len(control)
     rest = np.flatnonzero(~done)
+    own = _at_poles(solid, meshes, made, _matrix(rows, columns, values, count, n) @ np.concatenate(points), rest)
     rows.append(rest)
     columns.append(n + np.arange(len(rest)))
     values.append(np.ones(len(rest)))
-    points.append(made.points[rest])
+    points.append(own)
     n += len(rest)
-    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    M = csr_array(coo_array(entries, shape=(count, n)).tocsr())
+    M = _matrix(rows, columns, values, count, n)
     M.eliminate_zeros()
     coefficients = np.concatenate(points)
     placed = replace(made, points=M @ coefficients)
     placed = replace(placed, parts=_measured(solid, meshes, placed))
     return Sealed(placed, M, coefficients, len(trim), tuple(splines), tuple(numbers), on_curve)
+
+
+def _matrix(rows: list[Index], columns: list[Index], values: list[Array], b: int, n: int) -> csr_array:
+    """Sparse matrix (b, n) of entries."""
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return csr_array(coo_array(entries, shape=(b, n)).tocsr())
+
+
+def _at_poles(solid: Splined, meshes: list[FaceMesh], made: Assembled, points: Array, rest: Index) -> Array:
+    """Control points of functions of triangles' own: inner ones are fitted anew between the sides as they are now."""
+    points = points.copy()
+    points[rest] = made.points[rest]
+    for part in made.parts:
+        if part.block.basis is not CUBIC:
+            continue
+        for f, (face, mesh) in enumerate(zip(solid.brep.faces, meshes)):
+            mine = np.flatnonzero(part.owner == f)
+            dofs = part.block.dofs[mine]
+            left = np.isin(dofs[:, _INNER], rest)
+            if left.all() or not left.any():
+                continue
+            corners = (mesh.triangles[:, ::-1] if face.reversed else mesh.triangles)[left]
+            fitted = fit_triangles(face, mesh.chart, mesh.points[corners], points[dofs[left]])
+            points[dofs[left, _INNER]] = fitted.control[:, _INNER]
+    return np.asarray(points[rest])
 
 
 def _merged(b: Index, i: Index, own: Array, on_quad: Mask, surface: Patch) -> tuple[Index, Array]:
@@ -298,7 +313,10 @@ def _face_rows(
             add(dofs.ravel(), np.repeat(functions, 16, axis=0), np.swapaxes(A, 1, 2).reshape(-1, 16))
         elif len(dofs):
             corners = mesh.triangles[:, ::-1] if face.reversed else mesh.triangles
-            uv, steps = _steps(surface, mesh, corners, made.points[dofs], part.corners[mine], made)
+            w = widths(mesh.chart, mesh.points)[corners]
+            regular = w.max(axis=1) <= NARROWS * w.min(axis=1)
+            corners, dofs = corners[regular], dofs[regular]
+            uv, steps, inwards = _steps(surface, mesh, corners, made.points[dofs], part.corners[mine][regular], made)
             middle = uv.mean(axis=1)
             for i in range(3):
                 own, functions = vertex_rows(knots, uv[:, i], middle)
@@ -306,7 +324,7 @@ def _face_rows(
                 for k, j in enumerate(OTHERS[i].tolist()):
                     own, functions = side_rows(knots, uv[:, i], uv[:, j], steps[:, i, k])
                     add(dofs[:, _NEAR[i, k]], functions, own)
-            own, functions = inner_rows(knots, uv, steps)
+            own, functions = inner_rows(knots, uv, steps, inwards)
             add(dofs[:, _INNER], functions, own)
     return tuple(map(np.concatenate, zip(*found)))  # type: ignore[return-value]
 
@@ -320,8 +338,8 @@ def _snapped(knots: tuple[Array, ...], uv: Array) -> Array:
 
 def _steps(
     surface: Patch, mesh: FaceMesh, corners: Index, control: Array, vertices: Index, made: Assembled
-) -> tuple[Array, Array]:
-    """Corners (t, 3, 2) of triangles in the parameter plane, and steps (t, 3, 2, 2) of phi beside them.
+) -> tuple[Array, Array, Array]:
+    """Corners (t, 3, 2) of triangles in the parameter plane, (t, 3, 2, 2) and (t, 3, 2) as `inner_rows` wants them.
 
     Sides are straight in the chart, or along parameter lines at quadrilaterals; on trimming curves steps are those
     whose images are the steps of the curve in space.
@@ -335,10 +353,11 @@ def _steps(
     pairs = np.sort(made.curves[:, :2], axis=1) @ np.array([made.vertices, 1])
     _, du, dv = surface_frame(surface, flat)
     J = np.stack([du, dv], axis=-1).reshape(*q.shape[:2], 3, 2)
-    steps = np.zeros((len(q), 3, 2, 2))
+    steps, ways = np.zeros((len(q), 3, 2, 2)), np.zeros((len(q), 3, 2, 2))
     for i in range(3):
         for k, j in enumerate(OTHERS[i].tolist()):
-            steps[:, i, k] = parameter_steps(mesh.chart, q[:, i], q[:, j] - q[:, i]) / 3.0
+            ways[:, i, k] = (q[:, j] - q[:, i]) / 3.0
+            steps[:, i, k] = parameter_steps(mesh.chart, q[:, i], ways[:, i, k])
             along = np.isin(np.sort(corners[:, [i, j]], axis=1) @ np.array([size, 1]), beside)
             steps[along, i, k] = (uv[along, j] - uv[along, i]) / 3.0
             curve = np.isin(np.sort(vertices[:, [i, j]], axis=1) @ np.array([made.vertices, 1]), pairs)
@@ -346,7 +365,13 @@ def _steps(
             own = J[curve, i]
             metric = np.einsum("tcd,tce->tde", own, own)
             steps[curve, i, k] = np.linalg.solve(metric, np.einsum("tcd,tc->td", own, way)[..., None])[..., 0]
-    return uv, steps
+            bent = along | curve
+            ways[bent, i, k] = chart_steps(mesh.chart, uv[bent, i], steps[bent, i, k])
+    inner, inwards = phi_of(q, ways), np.zeros(q.shape)
+    for i in range(3):
+        inwards[:, i] = parameter_steps(mesh.chart, q[:, i], inner - q[:, i])
+        inwards[:, i] += 1.5 * parameter_bends(mesh.chart, q[:, i], ways[:, i, 0], ways[:, i, 1])
+    return uv, steps, inwards
 
 
 def _measured(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> tuple[Part, ...]:

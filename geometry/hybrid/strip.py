@@ -1,18 +1,22 @@
 r"""Control points of the triangles beside trimming curves as combinations of a face's B-spline coefficients.
 
-phi maps a triangle to the parameter plane, psi to space, both cubic, and psi(phi^-1) stands for the surface S
-(Song and Cohen 2019, Section 3). With the corner u_i, the step d_ij = phi_ij - u_i to the next coefficient of phi on
-the side to corner j (a third of the side's velocity), and e_i = phi_111 - u_i,
+phi maps a triangle to a chart of the face, F is the face's surface over the chart, psi maps to space; phi and psi are
+cubic, and psi(phi^-1) stands for F (Song and Cohen 2019, Section 3, whose chart is the parameter plane). With the
+corner q_i, the step d_ij = phi_ij - q_i to the next coefficient of phi on the side to corner j (a third of the side's
+velocity), and e_i = phi_111 - q_i,
 
-    psi_i   = S(u_i)
-    psi_ij  = S(u_i) + S'(u_i) d_ij                            beside corner i on the side to corner j
-    psi_111 = mean_i  S(u_i) + S'(u_i) e_i + 3/2 S''(u_i)[d_ij, d_ik]
+    psi_i   = F(q_i)
+    psi_ij  = F(q_i) + F'(q_i) d_ij                            beside corner i on the side to corner j
+    psi_111 = mean_i  F(q_i) + F'(q_i) e_i + 3/2 F''(q_i)[d_ij, d_ik]
 
-the last from d_j d_k psi = d_j d_k (S o phi) at corner i. On a triangle with legs along parameter lines and the corner
+the last from d_j d_k psi = d_j d_k (F o phi) at corner i. On a triangle with legs along parameter lines and the corner
 q0 alone this is the twist with its correction of `triangle.selection`; taking all three corners, and sides in any
-direction, it holds for every triangle. On a parameter line without knots the psi_ij are the Bezier points of S exactly,
-so triangles join the rectangles beside them. phi_111 is that of quadratic precision, which at a trimming curve is the
-blend of NOTES 3.1. The rules are affine: rows sum to one.
+direction, it holds for every triangle. On a parameter line without knots the psi_ij are exactly the Bezier points of
+the surface, so triangles join the rectangles beside them. phi_111 is that of quadratic precision, which at a trimming
+curve is the blend of NOTES 3.1. The rules are affine: rows sum to one.
+
+Here derivatives are taken with respect to the parameters: with those D, D2 of the parameters over the chart,
+F' d = S' (D d) and F''[d, e] = S''[D d, D e] + S' D2[d, e].
 
 Axis letters: q point, n B-spline on it, t triangle, i j k corner, d parameter direction.
 """
@@ -89,19 +93,25 @@ def side_rows(knots: tuple[Array, ...], uv: Array, towards: Array, step: Array) 
     return found.value + np.einsum("qnd,qd->qn", found.first, step), found.dofs
 
 
-def phi_of(uv: Array, steps: Array) -> Array:
+def phi_of(q: Array, steps: Array) -> Array:
     """Inner coefficient (t, 2) of phi from corners (t, 3, 2) and steps (t, 3, 2, 2) to the two corners that follow."""
-    sides = (uv[:, :, None] + steps).sum(axis=(1, 2))
-    return np.asarray(0.25 * sides - uv.sum(axis=1) / 6.0)
+    sides = (q[:, :, None] + steps).sum(axis=(1, 2))
+    return np.asarray(0.25 * sides - q.sum(axis=1) / 6.0)
 
 
-def inner_rows(knots: tuple[Array, ...], uv: Array, steps: Array) -> tuple[Array, Index]:
-    """Rows (t, 48) of psi_111, and their B-splines, those of the three corners one after the other."""
-    middle, inner = uv.mean(axis=1), phi_of(uv, steps)
+def inner_rows(knots: tuple[Array, ...], uv: Array, steps: Array, inwards: Array) -> tuple[Array, Index]:
+    """Rows (t, 48) of psi_111, and their B-splines, those of the three corners one after the other.
+
+    Parameters
+    ----------
+    uv, steps : corners (t, 3, 2) in the parameter plane, and D d_ij (t, 3, 2, 2).
+    inwards : (t, 3, 2) D e_i + 3/2 D2[d_ij, d_ik].
+    """
+    middle = uv.mean(axis=1)
     rows, dofs = [], []
     for i in range(3):
         found = jets(knots, uv[:, i], middle)
-        row = found.value + np.einsum("qnd,qd->qn", found.first, inner - uv[:, i])
+        row = found.value + np.einsum("qnd,qd->qn", found.first, inwards[:, i])
         row += 1.5 * np.einsum("qnde,qd,qe->qn", found.second, steps[:, i, 0], steps[:, i, 1])
         rows.append(row / 3.0)
         dofs.append(found.dofs)

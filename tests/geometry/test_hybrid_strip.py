@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from geometry.hybrid import shapes
 from geometry.hybrid.brep import surface_points
+from geometry.hybrid.chart import chart_steps, make_chart, parameter_bends, parameter_steps, to_chart, to_parameters
 from geometry.hybrid.fitting import CUBIC
 from geometry.hybrid.strip import OTHERS, inner_rows, jets, phi_of, side_rows, vertex_rows
 from geometry.knots import evaluation
@@ -50,7 +52,8 @@ def psi(surface: Patch, uv: Array, steps: Array) -> Array:
             near = [0, 0, 0]
             near[i], near[j] = 2, 1
             put((near[0], near[1], near[2]), side_rows(surface.knots, uv[None, i], uv[None, j], steps[None, i, k]))
-    put((1, 1, 1), inner_rows(surface.knots, uv[None], steps[None]))
+    inwards = phi_of(uv[None], steps[None])[0] - uv
+    put((1, 1, 1), inner_rows(surface.knots, uv[None], steps[None], inwards[None]))
     return control
 
 
@@ -125,3 +128,24 @@ def test_jets_are_derivatives_on_the_side_they_look_to(towards: float) -> None:
     assert abs(first[0] - slope) < 1e-6
     assert abs(second[0, 1] - mixed) < 2e-2
     assert second[0, 1] == second[1, 0]
+
+
+def test_derivatives_of_charts_near_a_pole() -> None:
+    """First and second derivatives against differences, on half a ball, whose chart narrows."""
+    pytest.importorskip("OCP")
+    face = shapes.ball().faces[0]
+    chart = make_chart(face)
+    uv = np.array([(3.6, 0.4), (5.0, -1.1), (4.1, 1.3)])
+    assert np.abs(uv - to_parameters(chart, to_chart(chart, uv))).max() < 1e-13
+    q, h = to_chart(chart, uv), 1e-4
+    a, b = np.array([0.3, 0.8]), np.array([-0.5, 0.4])
+
+    def at(x: float, y: float) -> Array:
+        return to_parameters(chart, q + h * (x * a + y * b))
+
+    first = (at(1, 0) - at(-1, 0)) / (2 * h)
+    mixed = (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / (4 * h * h)
+    steps = [np.repeat(x[None], 3, axis=0) for x in (a, b)]
+    assert np.abs(parameter_steps(chart, q, steps[0]) - first).max() < 1e-5
+    assert np.abs(parameter_bends(chart, q, *steps) - mixed).max() < 1e-4
+    assert np.abs(chart_steps(chart, uv, parameter_steps(chart, q, steps[0])) - a).max() < 1e-12
