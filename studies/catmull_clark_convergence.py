@@ -5,6 +5,7 @@ Heat conduction, plain control points on prisms around a straight edge of valenc
 * general: a smooth exact solution that does not fit the natural ends of the splines. The subdivision space is capped at
   h^2.5 in L2 and h^1.5 in H1 by its boundary rule (second normal derivative zero), at any valence; the second space has
   h^4 and h^3, over the same volume. Also with irregular cells closed after 0, 1 and 2 subdivisions (depth).
+* edge: the same solution with the second space on the cells around the edge alone, one layer, all of them irregular.
 * natural: an exact solution whose second normal derivative vanishes at the boundary, so that only the extraordinary
   edge can cost order.
 * reference: the protocol of Xie et al. 2020, Figure 7: the seven-block ball, interpolating, u = 0 on its boundary, a
@@ -65,6 +66,7 @@ COLUMNS = (
     Column("level", "int", key=True),
     Column("functions", "int"),
     Column("h", format=".4f"),
+    Column("per_side", format=".4f"),
     Column("l2_error", relative=1e-3, absolute=1e-12, format=".2e"),
     Column("h1_error", relative=1e-3, absolute=1e-11, format=".2e"),
     Column("l2_theory"),
@@ -75,14 +77,15 @@ GROUP = ("problem", "space", "valence", "depth")
 SLOPES = (
     Slope("h", "l2_error", GROUP, "l2_theory"),
     Slope("h", "h1_error", GROUP, "h1_theory"),
+    Slope("per_side", "l2_error", GROUP),
 )
 EXACT = {
-    "general": "sin(1.1*x+0.3)*cos(0.9*y)*exp(0.3*z)",
+    "general": "sin(1.1*x+0.3)*cos(0.9*y)*exp(0.3*z)", "edge": "sin(1.1*x+0.3)*cos(0.9*y)*exp(0.3*z)",
     "natural": "exp(-4*(x**2+y**2))*sin(1.5707963267948966*z)",
 }
 THEORY = {
     ("general", "catmull_clark"): (2.5, 1.5), ("general", "optimal"): (4.0, 3.0),
-    ("natural", "catmull_clark"): (None, None), ("reference", "catmull_clark"): (2.5, 1.5),
+    ("edge", "optimal"): (4.0, 3.0), ("natural", "catmull_clark"): (None, None), ("reference", "catmull_clark"): (2.5, 1.5),
     ("centred", "catmull_clark"): (2.5, 1.5),
 }
 """Orders that theory allows at most; None where an extraordinary edge has no known one (4 and 3 without)."""
@@ -111,6 +114,7 @@ def _cases(size: Size) -> list[Case]:
     # At the small size one level less off the regular mesh: all cells of the fan of 6 are irregular.
     optimal = dict.fromkeys(valences, 3) if full else {4: 3, 6: 2}
     cases += [Case("general", "optimal", m, 1, levels) for m, levels in optimal.items()]
+    cases += [Case("edge", "optimal", m, 1, 4 if full else 3) for m in (3, 5, 6, 8)]
     cases += [Case("general", "catmull_clark", 5, depth, 3 if full else 2) for depth in (0, 2)]
     cases += [Case("natural", "catmull_clark", m, 1, 4 if full else 3) for m in (valences if full else (5,))]
     cases += [Case("centred", "catmull_clark", 3, 1, 4)] if full else []
@@ -141,7 +145,7 @@ def run(size: Size, progress: Progress) -> Result:
 
 
 def _exact(case: Case) -> list[dict[str, Any]]:
-    mesh = catmull_clark.hex_mesh(*fan(case.valence, 2, 2))
+    mesh = catmull_clark.hex_mesh(*(fan(case.valence, 1, 1) if case.problem == "edge" else fan(case.valence, 2, 2)))
     settings = catmull_clark.Settings(space=case.space, interpolate="none", depth=case.depth)
     domain = catmull_clark.domain_of(mesh, settings)
     rows = []
@@ -183,7 +187,12 @@ def _reference(case: Case) -> list[dict[str, Any]]:
     rows = []
     for u, n, t in zip(solutions[:-1], sizes, seconds):
         off = norm(u - best)
-        rows.append({"functions": n, "l2_error": off[0] / whole[0], "h1_error": off[1] / whole[1], "seconds": t})
+        rows.append(
+            {
+                "functions": n, "per_side": n ** (-1 / 3), "l2_error": off[0] / whole[0], "h1_error": off[1] / whole[1],
+                "seconds": t,
+            }
+        )  # fmt: skip
     return rows
 
 
@@ -203,13 +212,18 @@ def _said(made: Table) -> str:
     for problem, space in THEORY:
         mine = [r for r in made.rates() if (dict(r.group)["problem"], dict(r.group)["space"]) == (problem, space)]
         for norm, text in (("l2_error", "L2"), ("h1_error", "H1")):
-            last = [rate.last for rate in mine if rate.y == norm]
+            last = [rate.last for rate in mine if (rate.x, rate.y) == ("h", norm)]
             if last:
                 parts.append(f"{problem}, {space} {text} {min(last):.2f} to {max(last):.2f}")
+    lines = [
+        f"{dict(rate.group)['problem']} {rate.fit:.2f} (last pair {rate.last:.2f})"
+        for rate in made.rates() if rate.x == "per_side"
+    ]
+    paper = f" One line through all levels in L2 against the cube root of the functions: {', '.join(lines)}."
     return (
         f"Rates over the last pair of levels, all valences and depths: {'; '.join(parts)}. The protocol of the paper "
         "(its 3.52 in L2, source not given) shows the cap of the boundary rule; orders near 4 need a solution that "
-        "fits the natural ends, as the natural problem does."
+        "fits the natural ends, as the natural problem does." + (paper if lines else "")
     )
 
 
@@ -234,6 +248,6 @@ def _draw(path: Path, made: Table) -> None:
                     h, error = [row["h"] for row in mine], [row[norm] for row in mine]
                     rate = rates[norm == "h1_error"] if valence == 4 else None
                     label = f"{problem}, {space}, {valence}"
-                    family = valence + {"general": 0, "natural": 10, "reference": 20, "centred": 30}[problem]
+                    family = valence + {"general": 0, "edge": 40, "natural": 10, "reference": 20, "centred": 30}[problem]
                     lines.append(Series(label, h, error, rate, family=family, dashed=space == "optimal"))
             convergence(axes, lines, "$h$", f"relative error in ${text}$", legend=axes is panels[-1])

@@ -120,15 +120,39 @@ def _errors(domain) -> np.ndarray:
     return np.array([found.relative_l2, found.relative_h1])
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(("space", "l2", "h1", "cap"), [("optimal", 3.9, 2.9, 2e-5), ("catmull_clark", 2.3, 1.4, 5e-2)])
-def test_rates_around_an_extraordinary_edge(space: str, l2: float, h1: float, cap: float) -> None:
-    """Order 4 and 3 where the subdivision space has 2.5 and 1.5 at most."""
-    domain = source.domain_of(hex_mesh(*fan(5, 2, 2)), Settings(space=space, interpolate="none"))
+@pytest.mark.parametrize(("valence", "cap"), [(3, 1.0e-5), (5, 7e-6), (6, 1.3e-5), (8, 1.9e-5)])
+def test_optimal_rates_at_every_valence(valence: int, cap: float) -> None:
+    """Order 4 and 3 where all cells touch the extraordinary edge."""
+    found = _errors_of_levels(fan(valence, 1, 1), "optimal")
+    rate = np.log2(found[-2] / found[-1])
+    assert 3.9 < rate[0] < 4.2
+    assert 2.9 < rate[1] < 3.2
+    assert found[-1][0] < cap
+
+
+def test_optimal_rates_with_splines_around_the_zone() -> None:
+    """Splines fill the rest of a wider prism, faster than order 4 while they take over; one cap for the result."""
+    found = _errors_of_levels(fan(5, 1, 3), "optimal")
+    rate = np.log2(found[-2] / found[-1])
+    assert rate[0] > 3.9
+    assert rate[1] > 2.9
+    assert found[-1][0] < 2e-5
+
+
+def _errors_of_levels(made: tuple[np.ndarray, np.ndarray], space: str) -> list[np.ndarray]:
+    domain = source.domain_of(hex_mesh(*made), Settings(space=space, interpolate="none"))
     found = []
     for level in range(3):
         domain = source.refine(domain) if level else domain
         found.append(_errors(domain))
+    return found
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("space", "l2", "h1", "cap"), [("optimal", 3.9, 2.9, 2e-5), ("catmull_clark", 2.3, 1.4, 5e-2)])
+def test_rates_around_an_extraordinary_edge(space: str, l2: float, h1: float, cap: float) -> None:
+    """Order 4 and 3 where the subdivision space has 2.5 and 1.5 at most."""
+    found = _errors_of_levels(fan(5, 2, 2), space)
     rate = np.log2(found[-2] / found[-1])
     assert rate[0] > l2
     assert rate[1] > h1
