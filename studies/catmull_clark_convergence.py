@@ -85,8 +85,8 @@ EXACT = {
 }
 THEORY = {
     ("general", "catmull_clark"): (2.5, 1.5), ("general", "optimal"): (4.0, 3.0),
-    ("edge", "optimal"): (4.0, 3.0), ("natural", "catmull_clark"): (None, None), ("reference", "catmull_clark"): (2.5, 1.5),
-    ("centred", "catmull_clark"): (2.5, 1.5),
+    ("edge", "optimal"): (4.0, 3.0), ("natural", "catmull_clark"): (None, None),
+    ("reference", "catmull_clark"): (2.5, 1.5), ("centred", "catmull_clark"): (2.5, 1.5),
 }
 """Orders that theory allows at most; None where an extraordinary edge has no known one (4 and 3 without)."""
 
@@ -248,6 +248,6 @@ def _draw(path: Path, made: Table) -> None:
                     h, error = [row["h"] for row in mine], [row[norm] for row in mine]
                     rate = rates[norm == "h1_error"] if valence == 4 else None
                     label = f"{problem}, {space}, {valence}"
-                    family = valence + {"general": 0, "edge": 40, "natural": 10, "reference": 20, "centred": 30}[problem]
+                    family = valence + 10 * ("general", "natural", "reference", "centred", "edge").index(problem)
                     lines.append(Series(label, h, error, rate, family=family, dashed=space == "optimal"))
             convergence(axes, lines, "$h$", f"relative error in ${text}$", legend=axes is panels[-1])

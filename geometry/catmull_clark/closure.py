@@ -21,6 +21,11 @@ so that a bound b over all classes (their set is completed until it is closed un
 b <= (sum of K levels) + q b, b <= (sum of K levels)/(1 - q). Nothing is sampled; rounding (1e-13 of the result) is not
 counted. k grows only where a cell can still be the worst.
 
+`hull_distance` needs no classes, so that every build can report it: all rules are convex combinations, hence F on a
+descendant lies in the convex hull of the control points around it and T_0 in that of its Bezier points, and no two
+points of these hulls are further apart than the boxes around them allow, up to two levels deeper than the closures.
+It is some tens of times the distance that occurs, and falls with it.
+
 The bound is on the distance of points of equal parameters, so it bounds the distance of the two volumes and surfaces.
 Closures inside change no volume at all: by the divergence theorem the volume depends on the boundary, and closures and
 limit have the same boundary except on irregular boundary faces. Parametric derivatives have no such bound: towards an
@@ -54,6 +59,8 @@ CHAIN = 3
 """Levels K of subdivision whose operators are taken as they are before the contraction is used."""
 _TERMS = 9
 _MEASURED = 120_000
+_LOOK = (25_000, 500)
+"""Closures up to which hulls are taken one and two levels deeper."""
 _BATCH = 16
 _SAMPLES = CUBIC.tabulate(np.array(list(np.ndindex(3, 3, 3))) / 2.0, 0)[0]
 _SPLITS = csr_array(SPLIT.reshape(512, 64))
@@ -89,23 +96,17 @@ def closure_distance(
     most : stop when more cells than this would have to be subdivided for that; the bound is then less sharp.
     """
     size = diagonal(control)
-    local, points, cells = topology, control, np.flatnonzero(~topology.regular_hexes)
-    for _ in range(depth):
-        if len(cells):
-            local, points, cells = refine_locally(local, points, cells)
-            cells = cells[~local.regular_hexes[cells]]
+    local, points, cells = _closed(topology, control, depth)
     if not len(cells):
         return Distance(0.0, 0.0, 0.0, 0)
     measured = _measured(local, points, cells)
-    rows = bezier_rows(local)
-    start = (bezier_matrix(local, rows, cells) @ points)[rows.cells[cells]]
+    start = _nets(local, points, cells)
     known = Constants({}, {}, set())
     sure = 0.0  # a bound for all cells that are done with
     for step in range(_TERMS):
         local, points, children = refine_locally(local, points, cells)
-        rows = bezier_rows(local)
         start = (SPLIT[None] @ start[:, None]).reshape(-1, 64, 3)
-        term = (bezier_matrix(local, rows, children) @ points)[rows.cells[children]] - start
+        term = _nets(local, points, children) - start
         irregular = ~local.regular_hexes[children]
         ended = term[~irregular]  # the difference itself, on these descendants
         sure = max(sure, float(_longest(ended).max(initial=0.0)))
@@ -138,23 +139,52 @@ def _rest(local: Topology, points: Array, cells: Index, known: Constants) -> Arr
     return known.of(signature[first])[label] * _diameters(local, points, cells)
 
 
-def measured_distance(topology: Topology, control: Array, depth: int) -> float | None:
-    """Distance of closures and limit measured where the limit is known, over the diagonal; None for many cells."""
-    if len(topology.hexes) * 8.0**depth > _MEASURED:
-        return None
+def hull_distance(topology: Topology, control: Array, depth: int) -> Distance:
+    """Bound the distance between the limit and the closures by convex hulls, and measure it, in about a second.
+
+    Not measured (0) where the closures are more than some 100,000.
+    """
+    local, points, cells = _closed(topology, control, depth)
+    if not len(cells):
+        return Distance(0.0, 0.0, 0.0, 0)
+    size = diagonal(control)
+    measured = _measured(local, points, cells) if len(local.hexes) <= _MEASURED else 0.0
+    start = _nets(local, points, cells)
+    sure = 0.0
+    levels = sum(len(cells) <= most for most in _LOOK)
+    for level in range(levels):
+        local, points, cells = refine_locally(local, points, cells)
+        start = (SPLIT[None] @ start[:, None]).reshape(-1, 64, 3)
+        regular = local.regular_hexes[cells]
+        if level + 1 < levels and regular.any():  # there the difference itself is known
+            ended = _nets(local, points, cells[regular]) - start[regular]
+            sure = max(sure, float(np.linalg.norm(ended, axis=2).max()))
+            cells, start = cells[~regular], start[~regular]
+    low, high = _boxes(local, points, cells)
+    reach = np.maximum(high - start.min(axis=1), start.max(axis=1) - low)
+    return Distance(max(sure, float(np.linalg.norm(reach, axis=1).max())) / size, measured / size, 0.0, 0)
+
+
+def _closed(topology: Topology, control: Array, depth: int) -> tuple[Topology, Array, Index]:
+    """The mesh around the closures after ``depth`` subdivisions, its control points, and the cells that are closed."""
     local, points, cells = topology, control, np.flatnonzero(~topology.regular_hexes)
     for _ in range(depth):
         if len(cells):
             local, points, cells = refine_locally(local, points, cells)
             cells = cells[~local.regular_hexes[cells]]
-    return _measured(local, points, cells) / diagonal(control) if len(cells) else 0.0
+    return local, points, cells
+
+
+def _nets(local: Topology, points: Array, cells: Index) -> Array:
+    """Bezier points (e, 64, 3) of cells."""
+    rows = bezier_rows(local)
+    return np.asarray((bezier_matrix(local, rows, cells) @ points)[rows.cells[cells]])
 
 
 def _measured(local: Topology, points: Array, cells: Index) -> float:
     """Largest distance of closures and limit at the new vertices of one subdivision."""
-    rows, places = bezier_rows(local), refinement_rows(local)
-    net = (bezier_matrix(local, rows, cells) @ points)[rows.cells[cells]]
-    closure = _SAMPLES @ net
+    places = refinement_rows(local)
+    closure = _SAMPLES @ _nets(local, points, cells)
     fine, S = subdivide(local)
     limit = (limit_matrix(fine) @ (S @ points))[places.cells[cells]]
     return float(np.linalg.norm(closure - limit, axis=2).max())
@@ -162,6 +192,12 @@ def _measured(local: Topology, points: Array, cells: Index) -> float:
 
 def _diameters(local: Topology, points: Array, cells: Index) -> Array:
     """Diagonal of the box around the control points of each cell's neighbourhood, (e,)."""
+    low, high = _boxes(local, points, cells)
+    return np.asarray(np.linalg.norm(high - low, axis=1))
+
+
+def _boxes(local: Topology, points: Array, cells: Index) -> tuple[Array, Array]:
+    """Opposite corners (e, 3) of the box around the control points of each cell's neighbourhood."""
     low, high = points.copy(), points.copy()
     corners = local.hexes
     for _ in range(2):
@@ -169,7 +205,7 @@ def _diameters(local: Topology, points: Array, cells: Index) -> Array:
         np.minimum.at(low, corners.ravel(), np.repeat(box_low, 8, axis=0))
         np.maximum.at(high, corners.ravel(), np.repeat(box_high, 8, axis=0))
     # After one pass a vertex knows its cells; the box of a cell's vertices is that of its neighbourhood.
-    return np.asarray(np.linalg.norm(box_high[cells] - box_low[cells], axis=1))
+    return box_low[cells], box_high[cells]
 
 
 def _classes(local: Topology, cells: Index) -> tuple[Colours, Index, Index]:

@@ -43,10 +43,37 @@ def test_no_sample_is_beyond_the_bound(name: str, features: str) -> None:
     assert 0 < found.contraction < 1
 
 
+@pytest.mark.parametrize(("name", "features"), [("ball", "none"), ("fan 5", "auto"), ("cross 5", "none")])
+def test_every_build_reports_a_bound(name: str, features: str) -> None:
+    """The bound by convex hulls holds at samples of the limit, which come near to the distance said to occur."""
+    points, cells = MESHES[name]
+    report = source.domain_of(hex_mesh(points, cells), Settings(interpolate="none", features=features, depth=0)).report
+    t = with_features(hex_mesh(points, cells).topology, points, features)
+    rng = np.random.default_rng(5)
+    at = np.repeat(np.flatnonzero(~t.regular_hexes), 40)
+    xi = rng.random((len(at), 3)) ** np.where(np.arange(len(at)) % 3 == 0, 4, 1)[:, None]
+    rows = bezier_rows(t)
+    net = (bezier_matrix(t, rows) @ points)[rows.cells[at]]
+    closure = np.einsum("pb,pbc->pc", CUBIC.tabulate(xi, 0)[0], net)
+    distance = np.linalg.norm(evaluate(t, at, xi).values @ points - closure, axis=1).max() / diagonal(points)
+    assert 0.5 * report["closure_distance"] < distance <= report["closure_distance_bound"] < 0.5
+
+
+def test_bounds_by_hulls_fall_with_the_depth() -> None:
+    """Along an edge closures halve with each level, and so does the proof; it cannot be below what occurs."""
+    mesh = hex_mesh(*MESHES["fan 5"])
+    reports = [source.domain_of(mesh, Settings(interpolate="none", depth=depth)).report for depth in (0, 1, 2)]
+    bounds = [report["closure_distance_bound"] for report in reports]
+    assert all(0 < report["closure_distance"] < bound for report, bound in zip(reports, bounds))
+    assert bounds[2] < 0.6 * bounds[1] < 0.4 * bounds[0]
+
+
 def test_regular_meshes_have_no_closures() -> None:
     points, cells = box(3, 3, 3)
     t = with_features(hex_mesh(points, cells).topology, points, "auto")
     assert closure_distance(t, points, 1).bound == 0.0
+    report = source.domain_of(hex_mesh(points, cells)).report
+    assert report["closure_distance_bound"] == report["closure_distance"] == report["closed_share"] == 0.0
 
 
 @pytest.mark.long
