@@ -153,7 +153,7 @@ def _price(mapping: BoundaryMap) -> float:
     slopes = np.stack([space[:, 1] - space[:, 0], space[:, 2] - space[:, 0]], axis=2) @ np.linalg.inv(edges)
     lengths = np.linalg.norm(slopes, axis=1)
     sine = area / flat / (lengths[:, 0] * lengths[:, 1])
-    levels = np.abs(np.log2(6 * area / (flat * area.sum()))) / 2
+    levels = np.abs(np.log2(len(mapping.blocks.boundary_sides) * area / (flat * area.sum()))) / 2
     return float(area @ (LEVEL * levels + 1.0 / np.clip(sine, 1e-6, 1.0) - 1.0) / area.sum())
 
 

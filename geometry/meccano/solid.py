@@ -1,16 +1,16 @@
 r"""From the map of the meccano's boundary to a certified solid, coarse to fine.
 
-On a coarse T-mesh the solid starts as a smooth blob: its boundary is fitted with much fairness and its inside is
-harmonic in the straight picture of the meccano. Then springs of growing stiffness draw the boundary to ever better
-fits, while the distortion of the elements keeps them valid: a valid solid inflates to the wanted one, and hardly
-anything has to be untangled. Cells whose facets are farther from the surface than the tolerance are split with their
-neighbours, the solid is carried to the finer space as it is, and is drawn again: with much care while there are few
-cells, because what is smooth on a coarse mesh stays so on finer ones.
+On a coarse T-mesh the solid starts valid: as a smooth blob whose boundary is fitted with much fairness and whose inside
+is harmonic in the straight picture of the meccano, or, where that cannot be untangled, as that picture itself. Springs
+of growing stiffness draw the boundary to ever better fits of the map, as far as the solid stays valid.
 
-From some part of the cells on the map is left: boundary points slide along the surface while all shapes are smoothed,
-held by springs between samples of the boundary and the points of the surface closest to them, and between samples of
-the surface and the points of the boundary closest to those. What is still off is split, fitted and smoothed the same
-way, at last only where shapes are poor.
+From then on boundary points slide along the surface while the shapes of all elements are smoothed, held by springs
+between samples of the boundary and the points of the surface closest to them, and between samples of the surface and
+the points of the boundary closest to those. They begin soft, so that boundaries that the map left far off, or twisted,
+come along without a fold. Cells whose facets are farther from the surface than the tolerance are split with their
+neighbours, the solid is carried to the finer space as it is, and slides again.
+
+A step that would leave an element without certificate is shortened around it, so what starts valid ends valid.
 
 Axis letters: n function, f facet, q sample point, v vertex of the surface, c component.
 """
@@ -66,7 +66,7 @@ class Aims:
     tolerance : distance from the surface, both ways.
     max_cells : most cells of the T-mesh.
     rounds : most rounds of refinement.
-    slides : rounds of smoothing in which boundary points slide along the surface.
+    slides : rounds of smoothing of poor shapes at the end.
     """
 
     tolerance: float
@@ -96,6 +96,12 @@ class Solid:
     def domain(self) -> Domain:
         """The solid as a bare domain."""
         return Domain(self.space.space, self.points)
+
+    @property
+    def uncertified(self) -> Index:
+        """Leaf cells of the invalid elements."""
+        number = np.array([1 << 32, 1])
+        return np.flatnonzero(np.isin(self.space.element @ number, self.invalid @ number))
 
     @property
     def inner(self) -> Mask:
@@ -153,108 +159,96 @@ def solid_of(
                             for key, value in history[-1].items()))
 
     solid = _first(start, target, shown)
+    aim = target(*side_coordinates(solid.skin, _OUTER))
+    for fairness in _FAIRNESS:
+        solid = _drawn(solid, aim, fairness, aims, shown)
+    errors = measured(solid, aim)
+    note("drawing", solid, errors)
     for step in range(aims.rounds + 1):
-        aim = target(*side_coordinates(solid.skin, _OUTER))
-        for fairness in _FAIRNESS if step == 0 else _FAIRNESS[-1:] if step == 1 else _FINE:
-            solid = _drawn(solid, aim, fairness, aims, shown)
+        for factor in _GRADES if step == 0 else _FINE:
+            solid = _slid(solid, surface, factor, aims, shown)
+        if len(solid.invalid):
+            solid = _untangled(solid, True, shown)
         errors = measured(solid, aim)
-        note("growth", solid, errors)
-        most = min(_RESERVED * aims.max_cells, _GROWTH * solid.space.tmesh.cells)
+        note("sliding", solid, errors)
+        most = min(aims.max_cells, _GROWTH * solid.space.tmesh.cells)
         finer = _refined(solid, _marked(solid, errors, aims), int(most)) if step < aims.rounds else None
         if finer is None or finer.space.tmesh.cells < _WORTH * solid.space.tmesh.cells:
             break
         solid = finer
-    if aims.slides:
-        solid = _slid(solid, surface, _EARLY * aims.slides, aims, shown)
-        errors = measured(solid, aim)
-        note("sliding", solid, errors)
-    for _ in range(_FITS):
-        most = min(aims.max_cells, _GROWTH * solid.space.tmesh.cells)
-        finer = _refined(solid, _marked(solid, errors, aims), int(most))
-        if finer is None or finer.space.tmesh.cells < _WORTH * solid.space.tmesh.cells:
-            break
-        aim = target(*side_coordinates(finer.skin, _OUTER))
-        solid = _snapped(finer, surface, aim, aims)
-        if aims.slides:
-            solid = _slid(solid, surface, aims.slides, aims, shown)
-        errors = measured(solid, aim)
-        note("fitting", solid, errors)
-    if aims.slides:
-        solid = _slid(solid, surface, aims.slides, aims, shown)
-        solid = _slid(solid, surface, _LATE * aims.slides, aims, shown, poor(solid))
+        aim = target(*side_coordinates(solid.skin, _OUTER))
+    for _ in range(_LATE * aims.slides):
+        solid = _slid(solid, surface, 1.0, aims, shown, poor(solid))
     solid = _snapped(solid, surface, aim, aims)
-    note("sliding", solid, measured(solid, aim))
+    note("fitting", solid, measured(solid, aim))
     return solid, history
 
 
+_TRIES = 8
 _SHARE = 0.2
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
-_FINE = (3e-4,)
 _STIFF = (1.0, 10.0, 100.0)
-_FIRM = (10.0, 100.0)
-_COARSE = 1200
 _SPRINGS = 0.02
 _HOLD = 0.25
+_GRADES = (8.0, 8.0, 4.0, 4.0, 2.0, 1.0)
+_FINE = (2.0, 1.0)
+_TURNS = 2
 _POWER = 4.0
-_EARLY = 3
-_LATE = 3
+_LATE = 2
 _SLIDE = 30
 _POOR = 0.6
 _GROWTH = 2.2
 _WORTH = 1.04
-_RESERVED = 0.4
-_FITS = 4
 
 
 def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
-    """A smooth, valid solid near the surface: its sides are nearly bilinear."""
+    """A smooth, valid solid near the surface: its sides are nearly bilinear.
+
+    Where the inside of that cannot be untangled, the start is the picture of the meccano itself, laid onto the surface.
+    """
     skin = skin_of(space)
     block, xi = greville_points(space)
-    points = place(space.tmesh.blocks, block, xi)
-    points = fit_boundary(skin, points, _OUTER, target(*side_coordinates(skin, _OUTER)), fairness=100.0)
-    solid = Solid(space, skin, harmonic(space, points, skin.functions), np.empty((0, 2), dtype=np.int64))
-    found = untangle(solid.domain, solid.inner, shown=shown)
+    picture = place(space.tmesh.blocks, block, xi)
+    where = target(*side_coordinates(skin, _OUTER))
+    blob = fit_boundary(skin, picture, _OUTER, where, fairness=100.0)
+    laid = _laid(picture, values_at(skin, _OUTER), where)
+    for points in (harmonic(space, blob, skin.functions), laid):
+        solid = _untangled(Solid(space, skin, points, np.empty((0, 2), dtype=np.int64)), False, shown)
+        if not len(solid.invalid):
+            break
+    return solid
+
+
+def _untangled(solid: Solid, boundary: bool, shown: Progress) -> Solid:
+    """Untangle by inner control points, or by all."""
+    found = untangle(solid.domain, solid.inner | boundary, rounds=_TRIES, patience=2, shown=shown)
     return replace(solid, points=found.points, invalid=found.invalid)
 
 
-def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progress) -> Solid:
-    """Draw the boundary towards its fit to ``aim``, as far as the solid stays valid.
+def _laid(points: Array, A: csr_array, where: Array) -> Array:
+    """Points (n, 3) moved by the similarity that brings A @ points nearest to places (k, 3) (Umeyama 1991)."""
+    own = A @ points
+    centre, goal = own.mean(axis=0), where.mean(axis=0)
+    u, s, v = np.linalg.svd((where - goal).T @ (own - centre))
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
+    scale = (s * sign).sum() / ((own - centre) ** 2).sum()
+    return np.asarray(goal + scale * (points - centre) @ (u * sign @ v).T)
 
-    Springs work where the fit is not reached in one step, and in some rings of elements around.
-    """
+
+def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progress) -> Solid:
+    """Draw the boundary towards its fit to ``aim`` with ever stiffer springs, as far as the solid stays valid."""
     skin = solid.skin
     wanted = fit_boundary(skin, solid.points, _OUTER, aim, fairness=fairness)[skin.functions]
     rows, n = len(skin.functions), solid.space.space.n
     pick = csr_array((np.ones(rows), (np.arange(rows), skin.functions)), shape=(rows, n))
     size = sizes_of(solid)[skin.functions]
-    if fairness <= 1e-3:
-        # Most of the way at once, the inside along with it.
-        change = np.zeros_like(solid.points)
-        change[skin.functions] = wanted - solid.points[skin.functions]
-        goal = solid.points + harmonic(solid.space, change, skin.functions)
-        solid = replace(solid, points=approach(solid.domain, goal).points)
-    coarse = solid.space.tmesh.cells <= _COARSE
-    gap = np.linalg.norm(wanted - solid.points[skin.functions], axis=1)
-    near = grown(solid, skin.functions[gap > 0.1 * aims.tolerance], 2 if coarse else 1)
-    springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in (_STIFF if coarse else _FIRM)]
-    found = smooth(
-        solid.domain, near, iterations=30 if coarse else 20, tether=springs, repairs=2 if coarse else 1, shown=shown
-    )
+    springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in _STIFF]
+    free = np.ones(n, dtype=bool)
+    found = smooth(solid.domain, free, iterations=30, tether=springs, shown=shown)
     goal = found.points.copy()
     goal[skin.functions] = wanted
     made = approach(replace(solid.domain, points=found.points), goal)
     return replace(solid, points=made.points, invalid=made.invalid)
-
-
-def grown(solid: Solid, functions: Index, rings: int) -> Mask:
-    """(n,) functions that share elements with given ones, so many times over."""
-    mask = np.zeros(solid.space.space.n, dtype=bool)
-    mask[functions] = True
-    for _ in range(rings):
-        before = mask.copy()
-        for block in solid.space.space.blocks:
-            mask[block.dofs[before[block.dofs].any(axis=1)]] = True
-    return mask
 
 
 def poor(solid: Solid) -> Mask:
@@ -282,9 +276,7 @@ def _marked(solid: Solid, errors: Errors, aims: Aims) -> Index:
     np.maximum.at(worst, solid.skin.cell, errors.worst / aims.tolerance)
     # Limbs first: most of what is off by little elsewhere will be right once they are drawn out.
     worst[worst <= max(1.0, _SHARE * worst.max())] = 0.0
-    if len(solid.invalid):
-        key = solid.space.element @ np.array([1 << 32, 1])
-        worst[np.isin(key, solid.invalid @ np.array([1 << 32, 1]))] += 1.0
+    worst[solid.uncertified] += 1.0
     cells = np.flatnonzero(worst)
     return cells[np.argsort(-worst[cells], kind="stable")]
 
@@ -302,30 +294,36 @@ def _refined(solid: Solid, marks: Index, most: int) -> Solid | None:
 
 
 def _slid(
-    solid: Solid, surface: Surface, rounds: int, aims: Aims, shown: Progress, free: Mask | None = None
+    solid: Solid, surface: Surface, factor: float, aims: Aims, shown: Progress, free: Mask | None = None
 ) -> Solid:
     """Smooth with the boundary sliding along the surface.
 
     Springs pull samples of the boundary to the surface, and samples of the surface pull the boundary where it is
-    closest to them, which keeps the tips of limbs in place.
+    closest to them, which draws limbs out and keeps their tips in place. Springs are as stiff as ``factor`` times the
+    tolerance asks: soft ones carry the boundary far, stiff ones bring it near.
     """
+    hold = factor * aims.tolerance
     there, normals = surface_samples(surface, _SPRINGS)
     A = values_at(solid.skin, _OUTER)
 
     def springs(points: Array) -> Tether:
         near, _, triangle = closest(surface.points, surface.triangles, A @ points)
-        facet, u, _ = feet(solid.skin, points, there)
+        facet, u, missed = feet(solid.skin, points, there)
         B = values_on(solid.skin, facet, u)
         each = np.bincount(facet, minlength=len(solid.skin.cell))[facet]
-        weights = np.concatenate([np.full(len(near), 1.0 / len(_OUTER)), 1.0 / each]) / (_HOLD * aims.tolerance) ** 2
+        weights = np.concatenate([np.full(len(near), 1.0 / len(_OUTER)), 1.0 / each]) / (_HOLD * hold) ** 2
+        # What is missed by far, the tip of a limb, pulls towards itself.
+        far, way = missed > hold, there - B @ points
+        own = normals.copy()
+        own[far] = way[far] / np.linalg.norm(way[far], axis=1, keepdims=True)
         return Tether(
             csr_array(vstack([A, B])), np.concatenate([near, there]),
-            np.concatenate([unit_normals(surface)[triangle], normals]), weights, 0.01,
+            np.concatenate([unit_normals(surface)[triangle], own]), weights, 0.01,
         )
 
     free = np.ones(solid.space.space.n, dtype=bool) if free is None else free
     found = smooth(
-        solid.domain, free, rounds=rounds, iterations=_SLIDE, power=_POWER, tether=springs, repairs=0, shown=shown
+        solid.domain, free, rounds=_TURNS, iterations=_SLIDE, power=_POWER, tether=springs, repairs=1, shown=shown
     )
     return replace(solid, points=found.points, invalid=found.invalid)
 

@@ -10,7 +10,7 @@ r"""The geometry source "meccano": closed surface triangulations as spline volum
     stretch     area of the surface per area of a side up to which limbs may be laid small (default 10)
     share       thickness of the pillow, as a part of a block (default 0.25)
     rounds      most rounds of refinement (default 14)
-    smoothing   rounds in which boundary points slide along the surface (default 1)
+    smoothing   rounds in which poor shapes are smoothed at the end (default 1)
     measure     of the paper's solids: "volume" (default), the paper's d(T) below the cube of the tolerance, or
                 "distance", a length below the tolerance
     remedy      of the paper's solids: "refine" (default), split cells with a negative centre; "untangle", move inner
@@ -140,6 +140,7 @@ def domain_of(
         "blocks": len(blocks.corners), "cells": solid.space.tmesh.cells, "surface_volume": volume(surface),
         "levels": np.bincount(solid.space.tmesh.level).tolist(), "rounds": history, "seconds": clock.seconds,
         "within_tolerance": bool(report["distance"]["relative"] <= settings.aim),
+        "uncertified_cells": solid.uncertified.tolist(),
     }
     return build_domain(solid.space, solid.points, Provenance(NAME, source, vars(settings).copy()), report)
 

@@ -1,0 +1,47 @@
+"""Growing solids into maps of the meccano's boundary: what starts badly ends certified."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geometry.meccano.blocks import pillowed
+from geometry.meccano.boundary_map import boundary_map, carried, on_surface
+from geometry.meccano.hierarchical import hierarchy
+from geometry.meccano.partition import partition
+from geometry.meccano.shapes import ball
+from geometry.meccano.solid import Aims, _laid, solid_of
+from geometry.meccano.tmesh import uniform
+from iga.certificate import certify
+from iga.scaled_jacobian import least_of_elements
+
+
+@pytest.mark.parametrize("twist", [0.0, 3.0])
+def test_a_twisted_map_is_unwound(twist):
+    """The ball's map turned about its axis, by an angle that grows along it, still leads to a good solid."""
+    surface = ball(12)
+    mapping = boundary_map(partition(surface))[0]
+    blocks = pillowed(mapping.blocks, 0.25)
+    mapping = carried(mapping, blocks)
+
+    def target(side, s):
+        x, y, z = on_surface(mapping, side, s)[0].T
+        cosine, sine = np.cos(twist * z), np.sin(twist * z)
+        return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
+
+    start = hierarchy(uniform(blocks, 1, 1))
+    solid, history = solid_of(start, target, surface, Aims(0.01 * surface.diagonal, 60))
+    assert not len(solid.uncertified)
+    assert (certify(solid.domain).verdict == 1).all()
+    assert history[-1]["away"] < 0.01 * surface.diagonal
+    assert history[-1]["missed"] < 0.01 * surface.diagonal
+    assert least_of_elements(solid.domain).min() > 0.2
+
+
+def test_the_picture_is_laid_onto_places_by_a_similarity():
+    random = np.random.default_rng(3)
+    points = random.normal(size=(20, 3))
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    there = 2.5 * points @ turn.T + np.array([1.0, -2.0, 3.0])
+    np.testing.assert_allclose(_laid(points, np.eye(20), there), there, atol=1e-12)
