@@ -166,10 +166,15 @@ def solid_of(
     note("drawing", solid, errors)
     for step in range(aims.rounds + 1):
         for factor in _GRADES if step == 0 else _FINE:
-            solid = _slid(solid, surface, factor, aims, shown)
+            for _ in range(_REPEATS):
+                before = _excess(errors, aims)
+                solid = _slid(solid, surface, factor, aims, shown)
+                errors = measured(solid, aim)
+                if not _excess(errors, aims) < _PROGRESS * before:
+                    break
         if len(solid.invalid):
             solid = _untangled(solid, True, shown)
-        errors = measured(solid, aim)
+            errors = measured(solid, aim)
         note("sliding", solid, errors)
         most = min(aims.max_cells, _GROWTH * solid.space.tmesh.cells)
         finer = _refined(solid, _marked(solid, errors, aims), int(most)) if step < aims.rounds else None
@@ -177,6 +182,7 @@ def solid_of(
             break
         solid = finer
         aim = target(*side_coordinates(solid.skin, _OUTER))
+        errors = measured(solid, aim)
     for _ in range(_LATE * aims.slides):
         solid = _slid(solid, surface, 1.0, aims, shown, poor(solid))
     solid = _snapped(solid, surface, aim, aims)
@@ -190,8 +196,10 @@ _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _STIFF = (1.0, 10.0, 100.0)
 _SPRINGS = 0.02
 _HOLD = 0.25
-_GRADES = (8.0, 8.0, 4.0, 4.0, 2.0, 1.0)
+_GRADES = (8.0, 4.0, 2.0, 1.0)
 _FINE = (2.0, 1.0)
+_REPEATS = 6
+_PROGRESS = 0.8
 _TURNS = 2
 _POWER = 4.0
 _LATE = 2
@@ -249,6 +257,11 @@ def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progres
     goal[skin.functions] = wanted
     made = approach(replace(solid.domain, points=found.points), goal)
     return replace(solid, points=made.points, invalid=made.invalid)
+
+
+def _excess(errors: Errors, aims: Aims) -> float:
+    """What facets are off beyond the tolerance, in all."""
+    return float(np.maximum(errors.worst / aims.tolerance - 1.0, 0.0).sum())
 
 
 def poor(solid: Solid) -> Mask:
