@@ -109,12 +109,12 @@ def _found(surface: Surface, blocks: Blocks, rounds: int, progress: Progress) ->
                 for n in range(8):
                     layout = centre_corner(layout, n, REWEIGHTING, STEP)
             layout = _straightened(layout, False)
-            price = _price(boundary_map(layout)[0])
+            cost = price(boundary_map(layout)[0])
         except InputError as error:
             reason = str(error)
             continue
-        if best is None or price < best[0]:
-            best = price, layout
+        if best is None or cost < best[0]:
+            best = cost, layout
     if best is None:
         raise InputError(f"the surface could not be divided by itself, give corners or labels: {reason}")
     layout = best[1]
@@ -139,7 +139,7 @@ def _simplified(surface: Surface) -> Surface:
     return made if genus(made) == genus(surface) else surface
 
 
-def _price(mapping: BoundaryMap) -> float:
+def price(mapping: BoundaryMap) -> float:
     """How far a map is from one with right angles and even areas, in the mean over the surface.
 
     The angle between the lines of s counts as 1 / sin - 1, an octree level of area as `LEVEL`.

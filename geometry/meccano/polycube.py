@@ -67,15 +67,15 @@ def polycube_layout(
 
 
 def polycube_map(
-    surface: Surface, voxels: Voxels | None = None, sweeps: int = 8, progress: Progress = QUIET,
+    surface: Surface, voxels: Voxels | None = None, sweeps: int = 8, limit: float = 10000.0, progress: Progress = QUIET,
     labels: Index | None = None,
 ) -> tuple[BoundaryMap, dict[str, Any]]:
-    """The boundary map of a polycube onto a surface of any genus; see `polycube_layout`.
+    """The boundary map of a polycube onto a surface of any genus; see `polycube_layout` and `boundary_map`.
 
     Returns
     -------
     The map and the reports of the layout and of `boundary_map`.
     """
     layout, report = polycube_layout(surface, voxels, sweeps, progress, labels)
-    mapping, quality = boundary_map(layout, progress=progress)
+    mapping, quality = boundary_map(layout, limit, progress)
     return mapping, report | quality

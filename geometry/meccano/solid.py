@@ -166,12 +166,14 @@ def solid_of(
     note("drawing", solid, errors)
     for step in range(aims.rounds + 1):
         for factor in _GRADES if step == 0 else _FINE:
-            for _ in range(_REPEATS):
-                before = _excess(errors, aims)
-                solid = _slid(solid, surface, factor, aims, shown)
-                errors = measured(solid, aim)
-                if not _excess(errors, aims) < _PROGRESS * before:
-                    break
+            solid = _slid(solid, surface, factor, aims, shown, aim if factor > _LEADING else None)
+        errors, before = measured(solid, aim), np.inf
+        for _ in range(_REPEATS):
+            if not 0.0 < _excess(errors, aims) < _PROGRESS * before:
+                break
+            before = _excess(errors, aims)
+            solid = _slid(solid, surface, 1.0, aims, shown)
+            errors = measured(solid, aim)
         if len(solid.invalid):
             solid = _untangled(solid, True, shown)
             errors = measured(solid, aim)
@@ -182,11 +184,14 @@ def solid_of(
             break
         solid = finer
         aim = target(*side_coordinates(solid.skin, _OUTER))
-        errors = measured(solid, aim)
     for _ in range(_LATE * aims.slides):
-        solid = _slid(solid, surface, 1.0, aims, shown, poor(solid))
-    solid = _snapped(solid, surface, aim, aims)
-    note("fitting", solid, measured(solid, aim))
+        solid = _slid(solid, surface, 1.0, aims, shown, free=poor(solid))
+    errors = measured(solid, aim)
+    snapped = _snapped(solid, surface, aim, aims)
+    nearer = measured(snapped, aim)
+    if nearer.worst.max() < errors.worst.max():
+        solid, errors = snapped, nearer
+    note("fitting", solid, errors)
     return solid, history
 
 
@@ -196,9 +201,12 @@ _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _STIFF = (1.0, 10.0, 100.0)
 _SPRINGS = 0.02
 _HOLD = 0.25
-_GRADES = (8.0, 4.0, 2.0, 1.0)
-_FINE = (2.0, 1.0)
-_REPEATS = 6
+_ALONG = 0.01
+_LED = 0.1
+_GRADES = (8.0, 8.0, 8.0, 4.0, 4.0, 2.0)
+_FINE = (2.0,)
+_LEADING = 2.0
+_REPEATS = 4
 _PROGRESS = 0.8
 _TURNS = 2
 _POWER = 4.0
@@ -206,7 +214,7 @@ _LATE = 2
 _SLIDE = 30
 _POOR = 0.6
 _GROWTH = 2.2
-_WORTH = 1.04
+_WORTH = 1.1
 
 
 def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
@@ -307,9 +315,10 @@ def _refined(solid: Solid, marks: Index, most: int) -> Solid | None:
 
 
 def _slid(
-    solid: Solid, surface: Surface, factor: float, aims: Aims, shown: Progress, free: Mask | None = None
+    solid: Solid, surface: Surface, factor: float, aims: Aims, shown: Progress, aim: Array | None = None,
+    free: Mask | None = None,
 ) -> Solid:
-    """Smooth with the boundary sliding along the surface.
+    """Smooth with the boundary sliding along the surface, and led by the map to ``aim`` if that is given.
 
     Springs pull samples of the boundary to the surface, and samples of the surface pull the boundary where it is
     closest to them, which draws limbs out and keeps their tips in place. Springs are as stiff as ``factor`` times the
@@ -329,10 +338,12 @@ def _slid(
         far, way = missed > hold, there - B @ points
         own = normals.copy()
         own[far] = way[far] / np.linalg.norm(way[far], axis=1, keepdims=True)
-        return Tether(
-            csr_array(vstack([A, B])), np.concatenate([near, there]),
-            np.concatenate([unit_normals(surface)[triangle], own]), weights, 0.01,
-        )
+        rows, places, across = [A, B], [near, there], [unit_normals(surface)[triangle], own]
+        if aim is not None:
+            rows, places, across = [*rows, A], [*places, aim], [*across, np.zeros_like(aim)]
+            led = _LED / _ALONG / len(_OUTER) / (_HOLD * hold) ** 2
+            weights = np.concatenate([weights, np.full(len(aim), led)])
+        return Tether(csr_array(vstack(rows)), np.concatenate(places), np.concatenate(across), weights, _ALONG)
 
     free = np.ones(solid.space.space.n, dtype=bool) if free is None else free
     found = smooth(

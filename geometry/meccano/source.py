@@ -1,7 +1,8 @@
 r"""The geometry source "meccano": closed surface triangulations as spline volumes.
 
-    meccano     "auto" (default: pillowed, of a cube for genus 0, else of a polycube), "pillowed", "polycube" (pillowed,
-                also for genus 0), "cube" (the paper's; its solids fold along the cube's edges, see `paper`)
+    meccano     "auto" (default: pillowed, of a cube for genus 0 if the surface suits it, else of a polycube),
+                "pillowed" (of a cube), "polycube" (pillowed, also for genus 0), "cube" (the paper's; its solids fold
+                along the cube's edges, see `paper`)
     space       "optimal" (default): truncated hierarchical cubics; "t-spline": the paper's rational T-splines on a
                 cube, or on a polycube without pillow, good for the geometry itself only; they fold as above
     tolerance   distance from the surface, relative to its diagonal (default 0.004; 0.005 for the paper's solids, where
@@ -46,7 +47,7 @@ from geometry.meccano.domain import build_domain, refine_domain
 from geometry.meccano.errors import tessellation
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.paper import Kind, Remedy, boundary_triangles, paper_solid
-from geometry.meccano.partition import partition
+from geometry.meccano.partition import partition, price
 from geometry.meccano.polycube import polycube_map
 from geometry.meccano.settings import NAME, Settings, parse
 from geometry.meccano.shapes import SHAPES
@@ -62,6 +63,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 name = NAME
+
+DEAR = 0.3
+"""Price of a map onto the cube from which on a polycube is tried."""
 
 
 def reads(path: str | Path) -> bool:
@@ -171,13 +175,38 @@ def map_of(surface: Surface, settings: Settings, shown: Progress) -> tuple[Bound
     labels = None if settings.labels is None else np.array(settings.labels)
     if settings.cuboids is not None:
         voxels = cuboids(surface, np.array(settings.cuboids).reshape(-1, 2, 3))
-        return polycube_map(surface, voxels, progress=shown, labels=labels)
+        return polycube_map(surface, voxels, limit=settings.stretch, progress=shown, labels=labels)
     if settings.corners is not None or labels is not None:
         corners = None if settings.corners is None else np.array(settings.corners)
         return boundary_map(partition(surface, corners, labels, progress=shown), settings.stretch, shown)
-    if settings.meccano == "polycube" or (settings.meccano == "auto" and genus(surface) > 0):
-        return polycube_map(surface, progress=shown)
+    auto = settings.meccano == "auto"
+    if settings.meccano == "polycube" or (auto and genus(surface) > 0):
+        return polycube_map(surface, limit=settings.stretch, progress=shown)
+    if auto:
+        return _cheaper(surface, settings, shown)
     return boundary_map(partition(surface, progress=shown), settings.stretch, shown)
+
+
+def _cheaper(surface: Surface, settings: Settings, shown: Progress) -> tuple[BoundaryMap, dict[str, Any]]:
+    """The map of a surface of genus 0 onto a cube, or, where that is dear (`partition.price`), onto a polycube."""
+    found: list[tuple[BoundaryMap, dict[str, Any]]] = []
+    reasons: list[str] = []
+    for make in (
+        lambda: boundary_map(partition(surface, progress=shown), settings.stretch, shown),
+        lambda: polycube_map(surface, limit=settings.stretch, progress=shown),
+    ):
+        try:
+            found.append(make())
+        except InputError as error:
+            reasons.append(str(error))
+        if found and price(found[-1][0]) < DEAR:
+            break
+    if not found:
+        raise InputError(f"the surface is laid neither on a cube ({reasons[0]}) nor on a polycube ({reasons[1]})")
+    prices = [price(mapping) for mapping, _ in found]
+    mapping, report = found[int(np.argmin(prices))]
+    kind = "cube" if len(mapping.blocks.corners) == 1 else "polycube"
+    return mapping, report | {"meccano": kind, "price": min(prices)}
 
 
 def refine(domain: Domain, levels: int = 1, elevate: int = 0, cells: Index | None = None) -> Domain:
