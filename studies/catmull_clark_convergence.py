@@ -6,6 +6,7 @@ Heat conduction, plain control points on prisms around a straight edge of valenc
   h^2.5 in L2 and h^1.5 in H1 by its boundary rule (second normal derivative zero), at any valence; the second space has
   h^4 and h^3, over the same volume. Also with irregular cells closed after 0, 1 and 2 subdivisions (depth).
 * edge: the same solution with the second space on the cells around the edge alone, one layer, all of them irregular.
+* ball: the same solution on the seven-block ball of Figure 7, smooth and interpolating, in both spaces.
 * natural: an exact solution whose second normal derivative vanishes at the boundary, so that only the extraordinary
   edge can cost order.
 * reference: the protocol of Xie et al. 2020, Figure 7: the seven-block ball, interpolating, u = 0 on its boundary, a
@@ -80,13 +81,14 @@ SLOPES = (
     Slope("per_side", "l2_error", GROUP),
 )
 EXACT = {
-    "general": "sin(1.1*x+0.3)*cos(0.9*y)*exp(0.3*z)", "edge": "sin(1.1*x+0.3)*cos(0.9*y)*exp(0.3*z)",
+    **dict.fromkeys(("general", "edge", "ball"), "sin(1.1*x+0.3)*cos(0.9*y)*exp(0.3*z)"),
     "natural": "exp(-4*(x**2+y**2))*sin(1.5707963267948966*z)",
 }
 THEORY = {
     ("general", "catmull_clark"): (2.5, 1.5), ("general", "optimal"): (4.0, 3.0),
-    ("edge", "optimal"): (4.0, 3.0), ("natural", "catmull_clark"): (None, None),
-    ("reference", "catmull_clark"): (2.5, 1.5), ("centred", "catmull_clark"): (2.5, 1.5),
+    ("edge", "optimal"): (4.0, 3.0), ("ball", "catmull_clark"): (2.5, 1.5), ("ball", "optimal"): (4.0, 3.0),
+    ("natural", "catmull_clark"): (None, None), ("reference", "catmull_clark"): (2.5, 1.5),
+    ("centred", "catmull_clark"): (2.5, 1.5),
 }
 """Orders that theory allows at most; None where an extraordinary edge has no known one (4 and 3 without)."""
 
@@ -115,6 +117,7 @@ def _cases(size: Size) -> list[Case]:
     optimal = dict.fromkeys(valences, 3) if full else {4: 3, 6: 2}
     cases += [Case("general", "optimal", m, 1, levels) for m, levels in optimal.items()]
     cases += [Case("edge", "optimal", m, 1, 4 if full else 3) for m in (3, 5, 6, 8)]
+    cases += [Case("ball", "catmull_clark", 3, 1, 4 if full else 3), Case("ball", "optimal", 3, 1, 4 if full else 3)]
     cases += [Case("general", "catmull_clark", 5, depth, 3 if full else 2) for depth in (0, 2)]
     cases += [Case("natural", "catmull_clark", m, 1, 4 if full else 3) for m in (valences if full else (5,))]
     cases += [Case("centred", "catmull_clark", 3, 1, 4)] if full else []
@@ -145,9 +148,13 @@ def run(size: Size, progress: Progress) -> Result:
 
 
 def _exact(case: Case) -> list[dict[str, Any]]:
-    mesh = catmull_clark.hex_mesh(*(fan(case.valence, 1, 1) if case.problem == "edge" else fan(case.valence, 2, 2)))
-    settings = catmull_clark.Settings(space=case.space, interpolate="none", depth=case.depth)
-    domain = catmull_clark.domain_of(mesh, settings)
+    round_ = case.problem == "ball"
+    shape = ball() if round_ else fan(case.valence, 1, 1) if case.problem == "edge" else fan(case.valence, 2, 2)
+    settings = catmull_clark.Settings(
+        space=case.space, interpolate="pia" if round_ else "none", features="none" if round_ else "auto",
+        depth=case.depth,
+    )  # fmt: skip
+    domain = catmull_clark.domain_of(catmull_clark.hex_mesh(*shape), settings)
     rows = []
     for level in range(case.levels):
         domain = catmull_clark.refine(domain) if level else domain
@@ -248,6 +255,7 @@ def _draw(path: Path, made: Table) -> None:
                     h, error = [row["h"] for row in mine], [row[norm] for row in mine]
                     rate = rates[norm == "h1_error"] if valence == 4 else None
                     label = f"{problem}, {space}, {valence}"
-                    family = valence + 10 * ("general", "natural", "reference", "centred", "edge").index(problem)
+                    order = ("general", "natural", "reference", "centred", "edge", "ball")
+                    family = valence + 10 * order.index(problem)
                     lines.append(Series(label, h, error, rate, family=family, dashed=space == "optimal"))
             convergence(axes, lines, "$h$", f"relative error in ${text}$", legend=axes is panels[-1])
