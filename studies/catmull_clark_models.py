@@ -5,6 +5,25 @@ between a cold and a hot end, elasticity held at the low end and pressed down at
 insulated. Columns: the certificate, the patch test (a linear field prescribed on the boundary, relative error in L2),
 volume against the divergence theorem on the boundary, energies, extrema and times. Built-in shapes stand for the models
 at the small size; at full size all meshes of the data folder that are there (others are left out and said).
+
+Found at full size, repaired where cells would fold (vertices whose control points moved, of those on the boundary, and
+how far the surface is then, over the diagonal); all cells of all meshes are certified, patch tests hold to 4e-15,
+volumes equal the divergence theorem to 1.4e-15:
+
+    mesh                   cells   functions  moved  boundary  surface   strain energy  largest stress
+    bunny_octree           21,695     26,375  5,951         0  0                  1610            112
+    airplane1_octree       24,318     29,899  3,823       148  1.6e-4            74.79           38.8
+    bone_octree             8,619     10,356  2,554        41  2.0e-5            554.0           31.6
+    ellipsoid               6,816      7,293      0         0  0              2.595e-5           1.65
+    fertility               4,000      4,983    732         0  0              3.824e-5           81.3
+    rod                     1,280      1,815    108         0  0                0.3670           41.9
+    rod_pillowed_inverted   2,272      2,805    356         0  0                0.3263           23.9
+    joint                   6,144      7,512  3,485       735  4.5e-3             2477            184
+    mount1                  4,480      5,849    784       204  1.8e-3            296.6           9.63
+    mount_with_holes        3,712      5,060    969       498  6.5e-5            8.158           15.3
+
+The largest stress is at the rim of the held part, where it grows without end under refinement. The bunny's elasticity
+(79,125 unknowns, 71 million entries) takes 2.5 GB and 85 s on one thread, 98 iterations.
 """
 
 from __future__ import annotations
