@@ -50,7 +50,7 @@ PATIENCE = 8
 END = 0.97
 STEP = 0.2
 """Step over the cube root of the tetrahedron's volume."""
-ENOUGH = 60_000
+ENOUGH = 100_000
 """Tetrahedra above which the filling is not cut again."""
 CUTS = 2
 

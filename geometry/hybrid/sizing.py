@@ -24,6 +24,7 @@ from geometry.hybrid.brep import Brep, curve_points, curve_tangents, surface_fra
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 TURN = 0.8
 """Angle (radians) that an edge, or the normal of a face, may turn within one piece."""
@@ -33,6 +34,8 @@ FAR = 2.5
 SHORT = 1.25
 GRADE = 0.5
 SAMPLES = 24
+BESIDE = 0.01
+"""Share of the way from a pole to the middle of the parameters at which curvature is looked at instead."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +92,9 @@ def normal_curvature(surface: Any, uv: Array) -> Array:
     step = 1e-5 * extent
     low, high = (np.array([k[i] for k in surface.knots]) for i in (0, -1))
     inside = np.clip(uv, low + step, high - step)
+    # At a pole one derivative vanishes, and with it all that differences can tell: look beside it.
+    middle = 0.5 * (low + high)
+    inside += np.where(_at_pole(surface, inside, middle), BESIDE, 0.0)[:, None] * (middle - inside)
     _, du, dv = surface_frame(surface, inside)
 
     def unit(at: Array) -> Array:
@@ -109,6 +115,13 @@ def normal_curvature(surface: Any, uv: Array) -> Array:
     shape = np.linalg.solve(first + scale, second)
     trace, det = np.trace(shape, axis1=1, axis2=2), np.linalg.det(shape)
     return np.asarray(0.5 * np.abs(trace) + np.sqrt(np.maximum(0.25 * trace**2 - det, 0.0)))
+
+
+def _at_pole(surface: Any, uv: Array, middle: Array) -> Mask:
+    """Where one of the two derivatives is a thousandth of what it is in the middle, or less."""
+    here = np.linalg.norm(np.stack(surface_frame(surface, uv)[1:]), axis=-1)
+    there = np.linalg.norm(np.stack(surface_frame(surface, middle[None])[1:]), axis=-1)
+    return np.asarray((here < 1e-3 * there).any(axis=0))
 
 
 def size_edges(brep: Brep, size: float) -> tuple[Sizing, list[Array]]:

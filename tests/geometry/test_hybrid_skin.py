@@ -10,9 +10,10 @@ import pytest
 
 from geometry.crossing import crossing_pairs
 from geometry.hybrid import read_cad, shapes
-from geometry.hybrid.brep import Brep, surface_points
-from geometry.hybrid.chart import make_chart, to_chart, to_parameters
+from geometry.hybrid.brep import Brep, curve_points, surface_points
+from geometry.hybrid.chart import line_frames, line_points, make_chart, to_chart, to_parameters
 from geometry.hybrid.curves import bezier_points, fit_cubics
+from geometry.hybrid.sizing import normal_curvature
 from geometry.hybrid.skin import Skin, build_skin
 from geometry.hybrid.triangulation import triangulate
 from iga.bernstein import bernstein
@@ -44,6 +45,28 @@ def test_arcs_are_met_to_the_sixth_power() -> None:
     rates = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     assert (np.abs(rates - 6) < 0.15).all()
     assert errors[0] < 3e-4
+
+
+def test_line_frames_are_derivatives() -> None:
+    random = np.random.default_rng(4)
+    for face in solid("bracket").faces + solid("curved_difference").faces:
+        chart = make_chart(face)
+        a, b = (to_chart(chart, curve_points(face.loops[0][0].curve, random.random(5))) for _ in range(2))
+        b = b + 0.05 * np.ptp(a, axis=0).max()
+        s = 0.2 + 0.6 * random.random((5, 3))
+        x, dx = line_frames(face, chart, a, b, s)
+        assert x == pytest.approx(line_points(face, chart, a, b, s), abs=1e-12 * np.abs(x).max())
+        step = 1e-5
+        far = [line_points(face, chart, a, b, s + sign * step) for sign in (1.0, -1.0)]
+        assert dx == pytest.approx((far[0] - far[1]) / (2.0 * step), abs=1e-7 * np.abs(x).max())
+
+
+def test_poles_are_not_taken_for_sharp_bends() -> None:
+    cap = next(face for face in solid("tetrapod").faces if face.kind == "sphere")
+    ends = [k[i] for k in cap.surface.knots for i in (0, -1)]
+    corners = np.array([(u, v) for u in ends[:2] for v in ends[2:]])
+    assert normal_curvature(cap.surface, corners) == pytest.approx(2.0, rel=1e-3)
+    assert skin_of("tetrapod").space.elements < 900
 
 
 @pytest.mark.parametrize("name", ["bracket", "curved_difference"])
