@@ -36,6 +36,7 @@ STUDIES: dict[str, str] = {
         "catmull_clark_models",
         "hybrid_error",
         "hybrid_refinement",
+        "hybrid_solid",
         "hybrid_models",
         "hybrid_convergence",
         "hybrid_volume",

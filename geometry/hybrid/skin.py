@@ -18,7 +18,7 @@ Axis letters: e element, n function, q sample, c component.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -34,7 +34,7 @@ from geometry.hybrid.grid import agree, is_flat, kept_share, make_grid
 from geometry.hybrid.measures import measure
 from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
 from geometry.hybrid.sizing import Sizing, size_edges
-from geometry.hybrid.solid import describe, seal, spline_blocks, splined
+from geometry.hybrid.solid import Sealed, describe, seal, spline_blocks, splined
 from iga.domain import Space
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
@@ -121,7 +121,7 @@ def build_skin(
     cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), size * brep.diagonal) if quads or splines else {}
     without: dict[int, str] = {}
     least = least_pieces(brep)
-    best: tuple[float, Skin] | None = None
+    best: tuple[float, Skin, Sealed | None] | None = None
     stuck = 0
     if cells:
         cells = _fitting_cells(brep, divide_edges(brep, sizing, wanted, least, tolerance), sizing, cells)
@@ -156,7 +156,6 @@ def build_skin(
         }
         space, points, owners = made.space, made.points, tuple(part.owner for part in made.parts)
         if solid is not None and sealed is not None:
-            report["hb_rep"] = describe(sealed, solid)
             space, owners = spline_blocks(sealed)
             points = sealed.points
         names = tuple(face.name for face in brep.faces)
@@ -164,7 +163,7 @@ def build_skin(
         badness = float(report["crossings"] + report["folded"]) * 1e6 + report["max_distance"]
         stuck = 0 if best is None or badness < 0.7 * best[0] else stuck + 1
         if best is None or badness < best[0]:
-            best = (badness, skin)
+            best = (badness, skin, sealed)
         if len(finer.sizing.points) == 0 or stuck == PATIENCE:
             break
         if stuck or best[0] < badness:  # what folds or is cut although elements were made smaller goes without
@@ -177,7 +176,10 @@ def build_skin(
         )
     if best is None:
         raise InputError(str(failed))
-    return best[1]
+    _, skin, sealed = best
+    if solid is not None and sealed is not None:
+        skin = replace(skin, report={**skin.report, "hb_rep": describe(sealed, solid)})
+    return skin
 
 
 def _fitting_cells(

@@ -414,7 +414,8 @@ def describe(sealed: Sealed, solid: Splined) -> dict[str, Any]:
     ``b_splines``, ``revised``, ``trim`` and ``own``: functions untouched, revised, of the curves, and C0 functions of
     faces that are no splines; ``unity_error``; ``on_curves``, the largest coefficient of another function in a row of a
     trimming curve; ``c0_faces``, those without splines, with the reason, by name; ``replaced``, for faces that are not
-    bicubic polynomials the bound of the distance and whether it is proved; ``condition`` of the functions.
+    bicubic polynomials the bound of the distance and whether it is proved; ``condition``, the largest of
+    `column_condition`.
     """
     M, made = sealed.M, sealed.made
     band = np.zeros(len(made.points), dtype=bool)
@@ -434,7 +435,7 @@ def describe(sealed: Sealed, solid: Splined) -> dict[str, Any]:
         "b_splines": int((spline & ~touched).sum()), "revised": int((spline & touched).sum()), "trim": sealed.trim,
         "own": M.shape[1] - sealed.trim - int(spline.sum()),
         "unity_error": float(np.abs(M.sum(axis=1) - 1.0).max()), "on_curves": float(beyond.max(initial=0.0)),
-        "c0_faces": c0,
+        "c0_faces": c0, "condition": max(column_condition(sealed).values(), default=1.0),
         "replaced": {
             names[f]: {"distance": float(solid.apart[f] / solid.brep.diagonal), "proved": bool(solid.proved[f])}
             for f in np.flatnonzero(solid.apart > 0.0).tolist()
@@ -443,15 +444,17 @@ def describe(sealed: Sealed, solid: Splined) -> dict[str, Any]:
 
 
 def column_condition(sealed: Sealed) -> dict[int, float]:
-    """For each face with splines the condition of its functions as combinations of Bernstein functions, scaled."""
+    """For each face with splines the condition of its functions as combinations of Bernstein functions, scaled.
+
+    From the eigenvalues of the Gram matrix, so what is above 1e8 is not told apart.
+    """
     found = {}
     for f, own in enumerate(sealed.numbers):
         if own is None:
             continue
-        part = sealed.M[:, np.unique(own[own >= 0])]
-        part = part[np.diff(part.tocsr().indptr) > 0].toarray()
-        size = np.linalg.svd(part / np.linalg.norm(part, axis=0), compute_uv=False)
-        found[f] = float(size[0] / max(size[-1], 1e-300))
+        part = csr_array(sealed.M[:, np.unique(own[own >= 0])])
+        G = (part.T @ part).toarray()
+        size = 1.0 / np.sqrt(np.diag(G))
+        values = np.linalg.eigvalsh(size[:, None] * G * size)
+        found[f] = float(np.sqrt(values[-1] / max(values[0], 1e-16 * values[-1])))
     return found
-
-
