@@ -14,10 +14,11 @@ traced layers are not valid, paths are straight (`ways`).
 
 **Adjustment, separation, relaxation, sealing** (Section 4.2). Neighbouring faces share the functions and the vertices
 of their common edges, so a layer has no gaps along trimming curves by construction; what the least squares do is to
-find control points whose surface moves, on each element, as nearly as possible linearly between its vertices. Layers
-are kept apart by the size of elements: depths of neighbours differ by `SLOPE` times their distance at most, which
-scales with the mesh (the paper's fixed epsilon does not, which is what it calls wrinkles). Relaxation moves each
-vertex's shift by ``beta`` towards the mean of its neighbours'.
+find control points whose surface moves, on each element, as nearly as possible linearly between its vertices, and
+under an HB-rep such that each face's B-splines, without their revision, follow the curves: what the trim functions then
+add is small. Layers are kept apart by the size of elements: depths of neighbours differ by `SLOPE` times their distance
+at most, which scales with the mesh (the paper's fixed epsilon does not, which is what it calls wrinkles). Relaxation
+moves each vertex's shift by ``beta`` towards the mean of its neighbours'.
 
 Axis letters: e element, v vertex, k function of the skin, j layer, s element across, c component.
 """
@@ -28,7 +29,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array, csr_array, vstack
 from scipy.sparse.linalg import lsqr
 
 from geometry.hybrid.field import field_under
@@ -52,6 +53,8 @@ Index = NDArray[np.int64]
 BETA = 0.2
 """Relaxation: share of a vertex's shift that the mean of its neighbours' replaces."""
 _TRIES = 3
+ADJUST = 10.0
+"""Weight of the difference between a face's splines and the curves beside that of a displacement from a linear one."""
 LOWER = 0.7
 """Factor of the depth around elements that are not certified."""
 STUBBORN = 0.4
@@ -154,11 +157,14 @@ def _displacement(shell: Shell, shift: Array) -> Array:
         elevation(bernstein(block.basis.cell, 1), block.basis.degree) @ shift[corners]
         for block, corners in zip(shell.space.blocks, shell.corners)
     ]
-    return _fit(list(shell.space.blocks), values, shell.space.n)
+    return _fit(list(shell.space.blocks), values, shell.space.n, shell.adjust)
 
 
-def _fit(blocks: list[Block], values: list[Array], n: int) -> Array:
-    """Coefficients (n, 3) whose Bernstein coefficients on the elements are nearest to the given ones (e, b, 3)."""
+def _fit(blocks: list[Block], values: list[Array], n: int, adjust: csr_array | None) -> Array:
+    """Coefficients (n, 3) whose Bernstein coefficients on the elements are nearest to the given ones (e, b, 3).
+
+    ``adjust`` (k, n): further rows that are to vanish, for the most part.
+    """
     if all(block.extraction is None for block in blocks):
         result = np.zeros((n, 3))
         for block, own in zip(blocks, values):
@@ -177,6 +183,9 @@ def _fit(blocks: list[Block], values: list[Array], n: int) -> Array:
     at = (np.concatenate(rows), np.concatenate(columns))
     A = csr_array(coo_array((np.concatenate(entries), at), shape=(start, n)).tocsr())
     target = np.concatenate(right)
+    if adjust is not None:
+        A = vstack([A, ADJUST * adjust], format="csr")
+        target = np.concatenate([target, np.zeros((adjust.shape[0], 3))])
     return np.stack([lsqr(A, target[:, c], atol=1e-12, btol=1e-12, iter_lim=2000)[0] for c in range(3)], axis=1)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -40,6 +40,8 @@ class Shell:
     vertices : (k, 3) positions of the vertices, on the surface.
     face : for each block (e,) number of the CAD face that each element lies on.
     names : name of each CAD face.
+    adjust : (k, n) rows that are small where the surface inside a face goes on smoothly to its trimming curves
+        (`solid.Sealed`), or None.
     """
 
     space: Space
@@ -48,6 +50,7 @@ class Shell:
     vertices: Array
     face: tuple[Index, ...]
     names: tuple[str, ...]
+    adjust: csr_array | None = None
 
 
 def shell_of(skin: Skin) -> Shell:
@@ -80,4 +83,4 @@ def shell_of(skin: Skin) -> Shell:
     vertices = np.zeros((len(used), 3))
     for own, s in zip(corners, spots):
         vertices[own] = s
-    return Shell(skin.space, skin.points, corners, vertices, skin.faces, skin.names)
+    return Shell(skin.space, skin.points, corners, vertices, skin.faces, skin.names, skin.adjust)

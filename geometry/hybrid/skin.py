@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from geometry.hybrid.assembling import assemble
 from geometry.hybrid.brep import Brep
@@ -64,6 +65,7 @@ class Skin:
     curves : (s, 3) mesh edges that lie on CAD edges: two vertices and the number of the CAD edge.
     edge_to_edge : no hanging nodes.
     report : distances, areas, volume, ... (see `build_skin`).
+    adjust : of an HB-rep, see `solid.Sealed`.
     """
 
     space: Space
@@ -74,6 +76,7 @@ class Skin:
     curves: Index
     edge_to_edge: bool = True
     report: Mapping[str, Any] = field(default_factory=dict)
+    adjust: csr_array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "report", MappingProxyType(dict(self.report)))
@@ -159,7 +162,8 @@ def build_skin(
             space, owners = spline_blocks(sealed)
             points = sealed.points
         names = tuple(face.name for face in brep.faces)
-        skin = Skin(space, points, made.vertices, owners, names, made.curves, True, report)
+        adjust = None if sealed is None else sealed.adjust
+        skin = Skin(space, points, made.vertices, owners, names, made.curves, True, report, adjust)
         badness = float(report["crossings"] + report["folded"]) * 1e6 + report["max_distance"]
         stuck = 0 if best is None or badness < 0.7 * best[0] else stuck + 1
         if best is None or badness < best[0]:

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array, csr_array, vstack
 
 from geometry.hybrid.assembling import SIDES, TURNED, Assembled, Part
 from geometry.hybrid.bound import FEET, distance_bound
@@ -102,6 +102,8 @@ class Sealed:
     splines : for each face its bicubic surface with the knots of the grid, or None.
     numbers : for each face (r,) numbers of its B-splines' functions, -1 where they vanish, or None.
     on_curve : (b,) Bernstein functions that do not vanish on a trimming curve.
+    adjust : (k, i) rows whose product with coefficients says how far a face's B-splines alone, without the mask, are
+        from the trim functions' coefficients, one for each of these and each of its faces.
     """
 
     made: Assembled
@@ -111,6 +113,7 @@ class Sealed:
     splines: tuple[Patch | None, ...]
     numbers: tuple[Index | None, ...]
     on_curve: Mask
+    adjust: csr_array
 
 
 def splined(brep: Brep, tolerance: float) -> Splined:
@@ -182,6 +185,8 @@ def seal(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> Sealed:
     done = on_curve.copy()
     points = [made.points[trim]]
     n = len(trim)
+    trim_number = np.cumsum(on_curve) - 1
+    adjust: list[csr_array] = []
     splines: list[Patch | None] = []
     numbers: list[Index | None] = []
     for f, mesh in enumerate(meshes):
@@ -190,7 +195,7 @@ def seal(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> Sealed:
             numbers.append(None)
             continue
         surface = on_lines(brep.faces[f].surface, mesh.grid.lines)
-        b, i, own = _face_rows(brep.faces[f], surface, mesh, made, f, done)
+        (b, i, own), masked = _face_rows(brep.faces[f], surface, mesh, made, f, done, on_curve)
         on_quad = np.zeros(count, dtype=bool)
         for part in made.parts:
             if part.block.basis is BICUBIC:
@@ -202,7 +207,9 @@ def seal(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> Sealed:
         values.append(own[keep])
         points.append(control)
         splines.append(surface)
-        numbers.append(np.where(place < 0, -1, n + place))
+        number = np.where(place < 0, -1, n + place)
+        numbers.append(number)
+        adjust.append(_adjusting(trim_number[masked[0]], number, masked, len(trim)))
         n += len(control)
     rest = np.flatnonzero(~done)
     own = _at_poles(solid, meshes, made, _matrix(rows, columns, values, count, n) @ np.concatenate(points), rest)
@@ -216,7 +223,33 @@ def seal(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> Sealed:
     coefficients = np.concatenate(points)
     placed = replace(made, points=M @ coefficients)
     placed = replace(placed, parts=_measured(solid, meshes, placed))
-    return Sealed(placed, M, coefficients, len(trim), tuple(splines), tuple(numbers), on_curve)
+    for rows_ in adjust:
+        rows_.resize(rows_.shape[0], n)
+    between = vstack([csr_array((0, n)), *adjust], format="csr")
+    return Sealed(placed, M, coefficients, len(trim), tuple(splines), tuple(numbers), on_curve, between)
+
+
+def _adjusting(b: Index, number: Index, masked: tuple[Index, Index, Array], trim: int) -> csr_array:
+    """Rows of `Sealed.adjust` of one face.
+
+    Where B-splines vanish under the mask, trim functions take their place, and there is nothing to adjust.
+
+    Parameters
+    ----------
+    b : (k,) trim functions of the entries.
+    masked : their entries as `_face_rows` gives them; B-splines are ``number`` [i] here.
+    """
+    _, i, value = masked
+    lost = np.zeros(trim)
+    np.add.at(lost, b[number[i] < 0], np.abs(value[number[i] < 0]))
+    keep = (number[i] >= 0) & (lost[b] <= ZERO)
+    used = np.unique(b[keep])
+    row = np.searchsorted(used, b[keep])
+    entries = (
+        np.concatenate([value[keep], -np.ones(len(used))]),
+        (np.concatenate([row, np.arange(len(used))]), np.concatenate([number[i[keep]], used])),
+    )
+    return csr_array(coo_array(entries, shape=(len(used), 1 + max(int(number.max()), trim))).tocsr())
 
 
 def _matrix(rows: list[Index], columns: list[Index], values: list[Array], b: int, n: int) -> csr_array:
@@ -292,16 +325,22 @@ def _on_curves(made: Assembled) -> Mask:
 
 
 def _face_rows(
-    face: Face, surface: Patch, mesh: FaceMesh, made: Assembled, number: int, done: Mask
-) -> tuple[Index, Index, Array]:
-    """Entries (b, B-spline, value) of the rows of one face that are not ``done``, which they are marked then."""
-    found: list[tuple[Index, Index, Array]] = []
+    face: Face, surface: Patch, mesh: FaceMesh, made: Assembled, number: int, done: Mask, on_curve: Mask
+) -> tuple[tuple[Index, Index, Array], tuple[Index, Index, Array]]:
+    """Entries (b, B-spline, value) of the rows of one face that are not ``done``, which they are marked then, and of
+    those on trimming curves as they are without the mask.
+    """
+    none = np.zeros(0, dtype=np.int64)
+    found, masked = [(none, none, np.zeros(0))], [(none, none, np.zeros(0))]
+    seen = np.zeros(len(done), dtype=bool)
 
     def add(b: Index, dofs: Index, own: Array) -> None:
         first = np.unique(b, return_index=True)[1]
-        first = first[~done[b[first]]]
-        found.append((np.repeat(b[first], dofs.shape[1]), dofs[first].ravel(), own[first].ravel()))
+        for into, known in ((found, done[b[first]]), (masked, ~on_curve[b[first]] | seen[b[first]])):
+            new = first[~known]
+            into.append((np.repeat(b[new], dofs.shape[1]), dofs[new].ravel(), own[new].ravel()))
         done[b[first]] = True
+        seen[b[first]] = True
 
     knots = surface.knots
     for part in made.parts:
@@ -326,7 +365,7 @@ def _face_rows(
                     add(dofs[:, _NEAR[i, k]], functions, own)
             own, functions = inner_rows(knots, uv, steps, inwards)
             add(dofs[:, _INNER], functions, own)
-    return tuple(map(np.concatenate, zip(*found)))  # type: ignore[return-value]
+    return tuple(tuple(map(np.concatenate, zip(*kind))) for kind in (found, masked))  # type: ignore[return-value]
 
 
 def _snapped(knots: tuple[Array, ...], uv: Array) -> Array:

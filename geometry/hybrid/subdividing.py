@@ -53,7 +53,7 @@ def subdivided(skin: Shell) -> Shell:
         vertices[own] = bezier_coefficients(block, skin.points)[:, at]
     vertices[:total] = skin.vertices
     space = Space(tuple(blocks), skin.space.n, skin.space.weights)
-    return Shell(space, skin.points, tuple(corners), vertices, tuple(faces), skin.names)
+    return Shell(space, skin.points, tuple(corners), vertices, tuple(faces), skin.names, skin.adjust)
 
 
 def refined(skin: Shell, fields: Array) -> tuple[Shell, Array]:
@@ -76,7 +76,7 @@ def refined(skin: Shell, fields: Array) -> tuple[Shell, Array]:
     for block, own in zip(cut.space.blocks, dofs):
         values[own] = bezier_coefficients(block, old)
     blocks = tuple(Block(block.basis, own) for block, own in zip(cut.space.blocks, dofs))
-    shell = replace(cut, space=Space(blocks, n), points=np.ascontiguousarray(values[:, :3]))
+    shell = replace(cut, space=Space(blocks, n), points=np.ascontiguousarray(values[:, :3]), adjust=None)
     return shell, np.ascontiguousarray(values[:, 3:])
 
 

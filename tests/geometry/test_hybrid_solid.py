@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,18 +11,23 @@ from numpy.typing import NDArray
 
 pytest.importorskip("OCP")
 
+import geometry
 from geometry.hybrid import shapes
 from geometry.hybrid import skin as skins
-from geometry.hybrid.brep import Brep, surface_points
+from geometry.hybrid.brep import Brep, curve_points, surface_points
 from geometry.hybrid.facemesh import FaceMesh
+from geometry.hybrid.fitting import project
+from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.numbering import numbering, skin_rows
 from geometry.hybrid.shell import shell_of
-from geometry.hybrid.solid import Sealed, Splined, column_condition, seal
+from geometry.hybrid.solid import Sealed, Splined, column_condition, seal, splined
 from geometry.hybrid.subdividing import subdivided
 from geometry.hybrid.volume import complete, fill_skin
 from iga.block import bezier_coefficients
+from iga.cells import HEXAHEDRON
 from iga.certificate import certify
 from iga.domain import check
+from problems import solve_exact
 
 Array = NDArray[np.float64]
 
@@ -143,3 +149,86 @@ def test_volume_has_the_skin_for_boundary() -> None:
     for block, own in zip(shell.space.blocks, numbers.skin):
         assert np.abs((rows @ shell.points)[own] - bezier_coefficients(block, shell.points)).max() < 1e-12
     assert np.array_equal(domain.points[: shell.space.n], shell.points)
+
+
+def test_splines_without_the_mask_come_near_the_curves() -> None:
+    """What trim functions add to the B-splines of a face is small on the CAD surface, and nothing for constants."""
+    brep, skin, sealed, _, _ = built()
+    assert skin.adjust is not None
+    assert skin.adjust.shape == (sealed.adjust.shape[0], skin.space.n)
+    assert np.abs(skin.adjust @ np.ones(skin.space.n)).max() < 1e-11
+    assert len(np.unique(sealed.adjust.indices[sealed.adjust.indices < sealed.trim])) > 0.3 * sealed.trim
+    off = np.linalg.norm(skin.adjust @ skin.points, axis=1) / brep.diagonal
+    assert np.quantile(off, 0.5) < 1e-2
+
+
+def test_layers_have_hexahedra_of_splines() -> None:
+    """Tensor products of the skin's functions and B-splines inwards, on hexahedra below quadrilaterals."""
+    skin = skins.build_skin(shapes.curved_box(), 0.6, 1e-3, splines=True)
+    shell = shell_of(skin)
+    domain = complete_with_layers(shell, 3, 0.4, way="straight")
+    check(domain)
+    assert "layers_dropped" not in domain.report
+    assert (certify(domain, 1e9).verdict == 1).all()
+    hexes = [b for b in domain.space.blocks if b.basis.cell is HEXAHEDRON]
+    assert sum(b.elements for b in hexes) == skin.report["quadrilaterals"] > 6
+    # Four layers of the skin's functions.
+    assert len(np.unique(np.concatenate([b.dofs.ravel() for b in hexes]))) == 4 * shell.space.n
+    answer = solve_exact(domain, "elasticity", "x+2*y;3*z-y;x-y+z")[1]
+    assert answer["relative_h1_error"] < 1e-10
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["block_through_hole", "two_elliptical_edges"])
+def test_rational_parts_become_volumes(data: Path, name: str) -> None:
+    """Weights do not enter: cylinders are replaced within a proved bound; flat faces are exact."""
+    domain = geometry.build(data / "cad" / f"{name}.step", "hybrid", skin="hb-rep")
+    report = domain.report
+    assert report["skin"] == "hb-rep"
+    assert (certify(domain, 1e9).verdict == 1).all()
+    told = report["hb_rep"]
+    assert told["unity_error"] < 1e-12
+    assert told["on_curves"] < 1e-12
+    assert report["watertight_gap"] < 1e-12
+    assert report["distance"]["relative"] < 2e-5
+    assert report["volume_error"] < 1e-5
+    assert report["exact_area_share"] > 0.7
+    assert told["replaced"]
+    assert all(row["proved"] and row["distance"] < 1e-5 for row in told["replaced"].values())
+    assert solve_exact(domain, "heat", "x+2*y-z")[1]["relative_h1_error"] < 1e-8
+
+
+@pytest.mark.long
+def test_poles_keep_functions_of_their_own() -> None:
+    """A ball: two faces with two poles and a seam; only what is near the poles is no spline."""
+    brep = shapes.ball()
+    skin = skins.build_skin(brep, 0.2, 1e-4, splines=True)
+    told = skin.report["hb_rep"]
+    assert skin.report["folded"] == skin.report["crossings"] == 0
+    assert skin.report["watertight_gap"] < 1e-12
+    assert told["unity_error"] < 1e-12
+    assert told["revised"] + told["b_splines"] > 100
+    assert told["own"] > 0
+    assert abs(skin.report["volume"] / (4.0 / 3.0 * np.pi) - 1.0) < 1e-4
+
+
+def test_weights_of_a_cylinder_are_replaced_within_a_proved_bound() -> None:
+    """The bound against distances at random parameters."""
+    brep = shapes.bracket()
+    solid = splined(brep, 1e-3)
+    met = 0
+    for f, (old, new) in enumerate(zip(brep.faces, solid.brep.faces)):
+        if old.surface.weights is None:
+            assert solid.apart[f] == 0.0
+            continue
+        assert new.surface.weights is None
+        assert new.surface.degree == (3, 3)
+        t = np.linspace(0.0, 1.0, 9)
+        outline = np.concatenate([curve_points(c.curve, t) for loop in old.loops for c in loop])
+        uv = outline.min(axis=0) + np.random.default_rng(f).uniform(0, 1, (200, 2)) * np.ptp(outline, axis=0)
+        x = surface_points(new.surface, uv)
+        assert np.linalg.norm(surface_points(old.surface, uv) - x, axis=1).max() < 1e-3 * brep.diagonal
+        assert solid.proved[f]
+        assert np.abs(project(old, uv, x)[1]).max() <= solid.apart[f] < 1e-3 * brep.diagonal
+        met += 1
+    assert met > 5
