@@ -178,8 +178,7 @@ def solid_of(
             solid = _untangled(solid, True, shown)
             errors = measured(solid, aim)
         note("sliding", solid, errors)
-        most = min(aims.max_cells, _GROWTH * solid.space.tmesh.cells)
-        finer = _refined(solid, _marked(solid, errors, aims), int(most)) if step < aims.rounds else None
+        finer = _finer(solid, _marked(solid, errors, aims), aims) if step < aims.rounds else None
         if finer is None or finer.space.tmesh.cells < _WORTH * solid.space.tmesh.cells:
             break
         solid = finer
@@ -189,7 +188,7 @@ def solid_of(
     errors = measured(solid, aim)
     snapped = _snapped(solid, surface, aim, aims)
     nearer = measured(snapped, aim)
-    if nearer.worst.max() < errors.worst.max():
+    if _excess(nearer, aims) <= _excess(errors, aims):
         solid, errors = snapped, nearer
     note("fitting", solid, errors)
     return solid, history
@@ -300,6 +299,13 @@ def _marked(solid: Solid, errors: Errors, aims: Aims) -> Index:
     worst[solid.uncertified] += 1.0
     cells = np.flatnonzero(worst)
     return cells[np.argsort(-worst[cells], kind="stable")]
+
+
+def _finer(solid: Solid, marks: Index, aims: Aims) -> Solid | None:
+    """The same solid with the worst cells split: not many times as many cells at once, where that is possible."""
+    # Blocks of one cell are split all or none, because cells on the two sides of a block's side have one size.
+    some = _refined(solid, marks, int(min(aims.max_cells, _GROWTH * solid.space.tmesh.cells)))
+    return some if some is not None else _refined(solid, marks, aims.max_cells)
 
 
 def _refined(solid: Solid, marks: Index, most: int) -> Solid | None:

@@ -64,6 +64,9 @@ Index = NDArray[np.int64]
 
 name = NAME
 
+MANY_BLOCKS = (150, 16)
+"""Meccanos of more blocks start with one cell in each, with 2^3, or else with 4^3."""
+
 DEAR = 0.3
 """Price of a map onto the cube from which on a polycube is tried."""
 
@@ -127,9 +130,11 @@ def domain_of(
         return _as_paper(mapping, surface, settings, source, report, clock, shown)
     blocks = pillowed(mapping.blocks, settings.share)
     mapping = carried(mapping, blocks)
-    start = uniform(blocks, 2 if len(blocks.corners) <= 16 else 1, 1)
-    if start.cells > settings.max_cells:
-        start = uniform(blocks, 1, 1)
+    level = sum(len(blocks.corners) <= most for most in MANY_BLOCKS)
+    start = uniform(blocks, level, 1)
+    while start.cells > settings.max_cells and level:
+        level -= 1
+        start = uniform(blocks, level, 1)
     if start.cells > settings.max_cells:
         raise InputError(f"the meccano has {len(blocks.corners)} blocks, too many for max_cells={settings.max_cells}")
     aims = Aims(settings.aim * surface.diagonal, settings.max_cells, settings.rounds, settings.smoothing)
