@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geometry.meccano import source
 from geometry.meccano.blocks import Blocks, polycube
 from geometry.meccano.boundary_map import on_surface
 from geometry.meccano.frame import frame_of
@@ -19,6 +21,7 @@ from geometry.meccano.overlay import Curve, join, overlay, split, spread
 from geometry.meccano.partition import partition
 from geometry.meccano.polycube import polycube_layout, polycube_map
 from geometry.meccano.settings import parse
+from geometry.meccano.shapes import ball
 from geometry.meccano.source import map_of
 from geometry.meccano.surface import Surface, area_vectors, euler_characteristic, genus, volume
 from geometry.meccano.surface_file import read_surface
@@ -328,3 +331,31 @@ def test_corners_may_be_given_as_a_text() -> None:
     nearest = layout.surface.points[layout.corner]
     assert np.abs(nearest - corners).max() < 0.05
     assert np.abs(found - nearest[round_corners(mapping.blocks)[:, 0]]).max() < 1e-12
+
+
+def test_a_dear_cube_is_compared_with_a_polycube(monkeypatch):
+    """The maps are stubs with known prices: only the choice is tested."""
+    prices = {"cube": 0.5, "polycube": 0.2}
+    monkeypatch.setattr(source, "partition", lambda *a, **k: None)
+    monkeypatch.setattr(source, "boundary_map", lambda *a, **k: (_stub("cube"), {}))
+    monkeypatch.setattr(source, "polycube_map", lambda *a, **k: (_stub("polycube"), {}))
+    monkeypatch.setattr(source, "price", lambda mapping: prices[mapping.kind])
+    surface = ball(4)
+    assert map_of(surface, parse({}), QUIET)[1] == {"meccano": "polycube", "price": 0.2}
+    prices["polycube"] = 0.6
+    assert map_of(surface, parse({}), QUIET)[1] == {"meccano": "cube", "price": 0.5}
+    prices |= {"cube": 0.9 * source.DEAR, "polycube": 0.0}
+    assert map_of(surface, parse({}), QUIET)[1]["meccano"] == "cube"
+
+    def refuse(*arguments, **named):
+        raise InputError("no room")
+
+    monkeypatch.setattr(source, "partition", refuse)
+    assert map_of(surface, parse({}), QUIET)[1]["meccano"] == "polycube"
+    monkeypatch.setattr(source, "polycube_map", refuse)
+    with pytest.raises(InputError, match="neither on a cube"):
+        map_of(surface, parse({}), QUIET)
+
+
+def _stub(kind: str) -> SimpleNamespace:
+    return SimpleNamespace(kind=kind, blocks=SimpleNamespace(corners=[0] if kind == "cube" else [0, 1]))
