@@ -165,7 +165,9 @@ def solid_of(
     errors = measured(solid, aim)
     note("drawing", solid, errors)
     for step in range(aims.rounds + 1):
-        for factor in _GRADES if step == 0 else _FINE:
+        # Soft springs only where they have some way to go.
+        grades = [g for g in (_GRADES if step == 0 else _FINE) if g <= errors.worst.max() / aims.tolerance]
+        for factor in grades or (1.0,):
             solid = _slid(solid, surface, factor, aims, shown, aim if factor > _LEADING else None)
         errors, before = measured(solid, aim), np.inf
         for _ in range(_REPEATS):

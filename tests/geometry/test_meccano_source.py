@@ -72,7 +72,7 @@ def test_bad_settings_and_surfaces_are_refused(solid, tmp_path):
     with pytest.raises(InputError, match="meccano is"):
         geometry.build(tmp_path / "x.off", "meccano", meccano="ball")
     with pytest.raises(InputError, match="too many"):
-        domain_of(ball(8), Settings(max_cells=20))
+        domain_of(ball(8), Settings(max_cells=6))
     with pytest.raises(InputError, match="elevated"):
         geometry.refine(solid, elevate=1)
     with pytest.raises(InputError, match="no cell"):
