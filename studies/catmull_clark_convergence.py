@@ -264,6 +264,7 @@ def _draw(path: Path, made: Table, space: str) -> None:
                     h, error = [row["h"] for row in mine], [row[norm] for row in mine]
                     rate = rates[norm == "h1_error"] if (problem, valence) == ("general", 4) else None
                     on_ball = problem in ("ball", "reference", "centred")
-                    label, family = (problem, problem) if on_ball else (f"{problem}, valence {valence}", valence)
+                    label = problem if on_ball else f"{problem}, valence {valence}"
+                    family = None if on_ball else valence
                     lines.append(Series(label, h, error, rate, family=family, dashed=problem in ("natural", "edge")))
             convergence(axes, lines, "$h$", f"relative error in ${text}$", legend=axes is panels[-1])
