@@ -29,8 +29,8 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array, vstack
-from scipy.sparse.linalg import lsqr
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array, vstack
+from scipy.sparse.linalg import splu
 
 from geometry.hybrid.field import field_under
 from geometry.hybrid.filling import LIMIT
@@ -53,6 +53,7 @@ Index = NDArray[np.int64]
 BETA = 0.2
 """Relaxation: share of a vertex's shift that the mean of its neighbours' replaces."""
 _TRIES = 3
+RIDGE = 1e-12
 ADJUST = 10.0
 """Weight of the difference between a face's splines and the curves beside that of a displacement from a linear one."""
 LOWER = 0.7
@@ -110,8 +111,35 @@ def traced(
         mean = np.zeros_like(shift)
         np.add.at(mean, ways.edges[:, 0], shift[ways.edges[:, 1]])
         np.add.at(mean, ways.edges[:, 1], shift[ways.edges[:, 0]])
-        result.append(_displacement(shell, (1.0 - relax) * shift + relax * mean / degree))
-    return np.stack(result)
+        shift = (1.0 - relax) * shift + relax * mean / degree
+        if shell.adjust is not None:
+            shift = _faired(shell, ways.edges, shift, scale)
+        result.append(shift)
+    return np.moveaxis(_displacement(shell, np.hstack(result)).reshape(shell.space.n, -1, 3), 1, 0)
+
+
+def _faired(shell: Shell, edges: Index, shift: Array, scale: Array | float) -> Array:
+    """Shifts (v, 3) that are harmonic inside CAD faces, between those on their curves, times the factors of the depth.
+
+    Functions of an HB-rep are C2 across elements, so they follow a displacement with kinks there with an error of first
+    order only.
+    """
+    count = len(shift)
+    least, most = np.full(count, len(shell.names)), np.full(count, -1)
+    for corners, face in zip(shell.corners, shell.face):
+        np.minimum.at(least, corners, face[:, None])
+        np.maximum.at(most, corners, face[:, None])
+    inside = least == most
+    if not inside.any():
+        return shift
+    a, b = np.concatenate([edges, edges[:, ::-1]]).T
+    W = coo_array((1.0 / np.linalg.norm(shell.vertices[a] - shell.vertices[b], axis=1), (a, b)), shape=(count, count))
+    L = csr_array(diags_array(np.asarray(W.sum(axis=1))) - W.tocsr())
+    rows = L[inside]
+    found = shift.copy()
+    solver = splu(csc_array(rows[:, inside]))
+    found[inside] = solver.solve(-(rows[:, ~inside] @ shift[~inside]))
+    return np.where(inside[:, None], np.broadcast_to(np.asarray(scale), count)[:, None] * found, shift)
 
 
 def valid_layers(
@@ -152,7 +180,7 @@ def moved(shell: Shell, displacement: Array) -> Shell:
 
 
 def _displacement(shell: Shell, shift: Array) -> Array:
-    """Displacement of control points (n, 3) that is nearest to a linear one on each element between shifts (v, 3)."""
+    """Displacement of control points (n, c) that is nearest to a linear one on each element between shifts (v, c)."""
     values = [
         elevation(bernstein(block.basis.cell, 1), block.basis.degree) @ shift[corners]
         for block, corners in zip(shell.space.blocks, shell.corners)
@@ -161,12 +189,12 @@ def _displacement(shell: Shell, shift: Array) -> Array:
 
 
 def _fit(blocks: list[Block], values: list[Array], n: int, adjust: csr_array | None) -> Array:
-    """Coefficients (n, 3) whose Bernstein coefficients on the elements are nearest to the given ones (e, b, 3).
+    """Coefficients (n, c) whose Bernstein coefficients on the elements are nearest to the given ones (e, b, c).
 
     ``adjust`` (k, n): further rows that are to vanish, for the most part.
     """
     if all(block.extraction is None for block in blocks):
-        result = np.zeros((n, 3))
+        result = np.zeros((n, values[0].shape[2]))
         for block, own in zip(blocks, values):
             result[block.dofs] = own
         return result
@@ -178,15 +206,21 @@ def _fit(blocks: list[Block], values: list[Array], n: int, adjust: csr_array | N
         rows.append(start + e * C.shape[2] + b)
         columns.append(block.dofs[e, i])
         entries.append(C[e, i, b])
-        right.append(own.reshape(-1, 3))
+        right.append(own.reshape(-1, own.shape[2]))
         start += C.shape[0] * C.shape[2]
     at = (np.concatenate(rows), np.concatenate(columns))
     A = csr_array(coo_array((np.concatenate(entries), at), shape=(start, n)).tocsr())
     target = np.concatenate(right)
     if adjust is not None:
         A = vstack([A, ADJUST * adjust], format="csr")
-        target = np.concatenate([target, np.zeros((adjust.shape[0], 3))])
-    return np.stack([lsqr(A, target[:, c], atol=1e-12, btol=1e-12, iter_lim=2000)[0] for c in range(3)], axis=1)
+        target = np.concatenate([target, np.zeros((adjust.shape[0], target.shape[1]))])
+    # Normal equations with columns of length one and a step of refinement; what is nearly dependent moves nothing.
+    size = 1.0 / np.sqrt(np.asarray(A.multiply(A).sum(axis=0)))
+    A = csr_array(A @ diags_array(size))
+    solver = splu(csc_array(A.T @ A + RIDGE * diags_array(np.ones(n))))
+    found = solver.solve(A.T @ target)
+    found += solver.solve(A.T @ (target - A @ found))
+    return np.asarray(size[:, None] * found)
 
 
 def with_layers(inside: Domain, shell: Shell, displacements: Array, vertices: int) -> Domain:
