@@ -19,6 +19,9 @@ from geometry.tree import Tree, triangle_tree
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+ROUNDING, COORDINATE = 1e-14, 5.0
+"""Relative error of a volume, and in these units that of a coordinate: points on a plane face are off by 18 eps."""
+
 
 def crossing_pairs(points: Array, triangles: Index, owner: Index | None = None, group: Index | None = None) -> Index:
     """Pairs of triangles that cross each other.
@@ -53,13 +56,13 @@ def _volume_sign(a: Array, b: Array, c: Array, d: Array) -> int:
         + abs(by) * (abs(cx * dz) + abs(cz * dx))
         + abs(bz) * (abs(cx * dy) + abs(cy * dx))
     )
-    # Coordinates are known to a unit in their last place, so sides are, however short.
+    # Coordinates come from splines, right to some tens of units in their last place; so are sides, however short.
     m = 0.0
     for k in range(3):
         m = max(m, abs(a[k]), abs(b[k]), abs(c[k]), abs(d[k]))
     B, C, D = abs(bx) + abs(by) + abs(bz), abs(cx) + abs(cy) + abs(cz), abs(dx) + abs(dy) + abs(dz)
-    size += 0.05 * m * (B * C + C * D + D * B)
-    if abs(det) <= 1e-14 * size:
+    size += COORDINATE * m * (B * C + C * D + D * B)
+    if abs(det) <= ROUNDING * size:
         return 0
     return 1 if det > 0 else -1
 

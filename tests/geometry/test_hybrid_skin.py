@@ -121,6 +121,23 @@ def test_triangles_beside_each_other_in_a_plane_do_not_cross() -> None:
     assert len(crossing_pairs(x, np.array([(0, 1, 2), (3, 4, 5)]))) == 0
 
 
+@pytest.mark.parametrize("corner", [(16.0, 2.0), (8.0, 4.0)])
+def test_points_that_were_evaluated_lie_in_their_plane(corner: tuple[float, float]) -> None:
+    """Triangles in the plane x = 31 with one vertex in common, or none, off it by tens of units in the last place."""
+    random = np.random.default_rng(8)
+    plane = np.array([(0, 0), (5, 1), (2, 5), corner, (11, 7), (7, 9)], dtype=float)
+    for _ in range(200):
+        x = np.column_stack([31.0 + random.uniform(-1.3e-13, 1.3e-13, 6), plane])
+        assert len(crossing_pairs(x, np.array([(0, 1, 2), (3, 4, 5)]))) == 0
+        assert len(crossing_pairs(x, np.array([(0, 1, 2), (2, 4, 5)]))) == 0
+
+
+def test_thin_crossings_are_found() -> None:
+    """A triangle whose tip is a billionth of its size beyond another."""
+    x = np.array([(31, 0, 0), (31, 5, 0), (31, 0, 5), (31 - 1e-8, 1, 1), (36, 1, 1), (36, 2, 1)])
+    assert len(crossing_pairs(x, np.array([(0, 1, 2), (3, 4, 5)]))) == 1
+
+
 @pytest.mark.parametrize(("name", "share"), [("bracket", 0.7), ("curved_difference", -1.0)])
 def test_skins_are_watertight_and_near(name: str, share: float) -> None:
     skin, brep = skin_of(name), solid(name)
