@@ -58,9 +58,9 @@ SHARE = 0.5
 NARROWS = 3.0
 """How much the chart of a face may narrow towards a pole within a triangle that has the B-splines' functions."""
 ZERO = 1e-13
-DEPENDENT = 1e-6
+DEPENDENT = 1e-4
 """Diagonal of QR, relative to the first, below which a function beside the curves is a combination of others."""
-FAINT = 1e-4
+FAINT = 0.5
 """Size below which a function counts as small."""
 _CORNER = np.array([int(np.flatnonzero(CUBIC.exponents[:, i] == 3)[0]) for i in range(3)])
 _NEAR = np.array([
