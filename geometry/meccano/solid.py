@@ -196,24 +196,30 @@ def solid_of(
     return solid, history
 
 
+# First solid: rounds of untangling, fairness of the fits that the boundary is drawn to, stiffness of the springs there.
 _TRIES = 8
-_SHARE = 0.2
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _STIFF = (1.0, 10.0, 100.0)
+# Sliding: spacing of samples of the surface in diagonals, give of a spring in tolerances, what distances along the
+# surface count; what the map's own springs count, and down to which softness they lead.
 _SPRINGS = 0.02
 _HOLD = 0.25
 _ALONG = 0.01
 _LED = 0.1
+_LEADING = 2.0
+# Softness of the springs on the first mesh and on finer ones; the last, 1, is repeated while it lowers what is off.
 _GRADES = (8.0, 8.0, 8.0, 4.0, 4.0, 2.0)
 _FINE = (2.0,)
-_LEADING = 2.0
 _REPEATS = 4
 _PROGRESS = 0.8
+# Of each: rounds, steps of descent, power of the mean ratio. At the end, rounds and scaled Jacobian of poor shapes.
 _TURNS = 2
+_SLIDE = 30
 _POWER = 4.0
 _LATE = 2
-_SLIDE = 30
 _POOR = 0.6
+# Refinement: facets off by this share of the worst at least, most cells for each cell, fewest that are worth a step.
+_SHARE = 0.2
 _GROWTH = 2.2
 _WORTH = 1.1
 
