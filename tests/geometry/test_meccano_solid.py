@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from geometry.meccano.blocks import pillowed
+from geometry.meccano.blocks import cube, pillowed
 from geometry.meccano.boundary_map import boundary_map, carried, on_surface
+from geometry.meccano.errors import Errors
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.partition import partition
 from geometry.meccano.shapes import ball
-from geometry.meccano.solid import Aims, _laid, solid_of
+from geometry.meccano.skin import skin_of
+from geometry.meccano.solid import Aims, Solid, _laid, _marked, solid_of
 from geometry.meccano.tmesh import uniform
 from iga.certificate import certify
 from iga.scaled_jacobian import least_of_elements
@@ -43,3 +45,12 @@ def test_the_picture_is_laid_onto_places_by_a_similarity():
     turn *= np.sign(np.linalg.det(turn))
     there = 2.5 * points @ turn.T + np.array([1.0, -2.0, 3.0])
     np.testing.assert_allclose(_laid(points, np.eye(20), there), there, atol=1e-12)
+
+
+def test_cells_that_are_not_certified_are_named_and_split():
+    space = hierarchy(uniform(pillowed(cube()), 1, 1))
+    skin = skin_of(space)
+    solid = Solid(space, skin, np.zeros((space.space.n, 3)), space.element[[40, 3]])
+    assert solid.uncertified.tolist() == [3, 40]
+    fine = np.zeros(len(skin.cell))
+    assert sorted(_marked(solid, Errors(fine, fine), Aims(1.0, 100)).tolist()) == [3, 40]

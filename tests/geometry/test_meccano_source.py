@@ -29,6 +29,7 @@ def test_ball_is_certified_and_near(solid):
     assert distance["relative"] < 0.01
     assert volume(solid, 5) == pytest.approx(solid.report["surface_volume"], rel=5e-3)
     assert solid.report["cells"] == made["certified"]
+    assert solid.report["uncertified_cells"] == []
     assert {"surface", "boundary_map", "solid"} & set(solid.report["seconds"])
 
 
