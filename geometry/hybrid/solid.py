@@ -58,10 +58,10 @@ SHARE = 0.5
 NARROWS = 3.0
 """How much the chart of a face may narrow towards a pole within a triangle that has the B-splines' functions."""
 ZERO = 1e-13
-DEPENDENT = 1e-4
+DEPENDENT = 1e-6
 """Diagonal of QR, relative to the first, below which a function beside the curves is a combination of others."""
-FAINT = 0.5
-"""Size below which a function counts as small."""
+FAINT = 3e-5
+"""Size below which a function beside the curves is joined to another: integrals of its square would be rounding."""
 _CORNER = np.array([int(np.flatnonzero(CUBIC.exponents[:, i] == 3)[0]) for i in range(3)])
 _NEAR = np.array([
     [int(np.flatnonzero((CUBIC.exponents[:, i] == 2) & (CUBIC.exponents[:, j] == 1))[0]) for j in OTHERS[i]]
@@ -295,11 +295,12 @@ def _merged(b: Index, i: Index, own: Array, on_quad: Mask, surface: Patch) -> tu
         at, row = np.unique(b[mine], return_inverse=True)
         A = np.zeros((len(at), len(outer)))
         np.add.at(A, (row.ravel(), np.searchsorted(outer, i[mine])), own[mine])
-        # Those that hardly act go last: what they are made of is rounding.
-        R, order = qr(A / np.maximum(np.linalg.norm(A, axis=0), FAINT), mode="r", pivoting=True)
+        norm = np.linalg.norm(A, axis=0)
+        R, order = qr(A / norm, mode="r", pivoting=True)
         depth = np.abs(np.diag(R))
         rank = int((depth > DEPENDENT * depth[0]).sum())
-        kept, rest = order[:rank], order[rank:]
+        stays = (np.arange(len(outer)) < rank) & (norm[order] > FAINT)
+        kept, rest = order[stays], order[~stays]
         T = np.linalg.lstsq(A[:, kept], A[:, rest], rcond=None)[0]
         grid = np.stack(np.divmod(np.arange(len(control)), surface.control.shape[1]), axis=1)
         far = np.linalg.norm(grid[outer[rest], None] - grid[None, inner], axis=2)
