@@ -170,7 +170,7 @@ def solid_of(
         for factor in grades or (1.0,):
             solid = _slid(solid, surface, factor, aims, shown, aim if factor > _LEADING else None)
         errors, before = measured(solid, aim), np.inf
-        for _ in range(_REPEATS):
+        for _ in range(_REPEATS if step == 0 else 1):
             if not 0.0 < _excess(errors, aims) < _PROGRESS * before:
                 break
             before = _excess(errors, aims)
@@ -207,7 +207,8 @@ _HOLD = 0.25
 _ALONG = 0.01
 _LED = 0.1
 _LEADING = 2.0
-# Softness of the springs on the first mesh and on finer ones; the last, 1, is repeated while it lowers what is off.
+# Softness of the springs on the first mesh and on finer ones; the last is 1, repeated on the first mesh while it lowers
+# what is off.
 _GRADES = (8.0, 8.0, 8.0, 4.0, 4.0, 2.0)
 _FINE = (2.0,)
 _REPEATS = 4
