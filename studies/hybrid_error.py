@@ -21,8 +21,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.cad.brep import surface_points
 from geometry.hybrid import shapes
-from geometry.hybrid.brep import surface_points
 from geometry.hybrid.hbrep import polynomial_surface, triangle_error
 from geometry.hybrid.trimming import Trimming, hermite, refined, trim_face
 from geometry.patch import Patch

@@ -7,10 +7,10 @@ solid by solid where a file has several. A solid that is refused has a row that 
 ``exact`` is the share of the skin's area within 1e-12 of the diagonal of the CAD surface, ``gap`` the largest distance
 between the two sides of an edge of the skin, ``distance`` that of the skin to the CAD surfaces, both relative to the
 diagonal, ``jump`` the largest jump of a random field with coefficients in [-1, 1], and of the map relative to the
-diagonal, across all facets between two cells at random points (`geometry.hybrid.conformity`). ``volume_error`` is
+diagonal, across all facets between two cells at random points (`iga.conformity`). ``volume_error`` is
 relative to the volume that the CAD kernel integrates, ``surfaces_error`` to the integral over the CAD surfaces between
 their trimming curves, and ``spread`` is how well either is defined: what they change when the integral is taken about
-another point, because the file's faces do not meet exactly (`geometry.hybrid.integrals`). ``read``, ``skin`` and
+another point, because the file's faces do not meet exactly (`geometry.cad.integrals`). ``read``, ``skin`` and
 ``inside`` are seconds of the stages, ``cpu`` those of the processor, in all.
 """
 
@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import geometry
-from geometry.hybrid.conformity import worst_jump
+from iga.conformity import worst_jump
 from iga.domain import Domain
 from iga.errors import InputError
 from iga.pictures.plot import plot_domain

@@ -26,8 +26,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.cad.brep import surface_points
 from geometry.hybrid import shapes
-from geometry.hybrid.brep import surface_points
 from geometry.hybrid.hbrep import HybridFace, band_error, hybrid_face, refine_hybrid, refined_surface
 from geometry.hybrid.triangle import Psi, triangle_map
 from geometry.hybrid.trimming import cut_at_knots, trim_face

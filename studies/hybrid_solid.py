@@ -1,7 +1,7 @@
 """Which functions has the HB-rep of a whole solid, how near is it to the CAD surfaces, and does it carry a volume?
 
 Every solid has a skin of quadrilaterals and triangles whose functions are the B-splines of its faces, revised beside
-the trimming curves, and trim functions that neighbouring faces share (`geometry.hybrid.solid`; Song and Cohen 2019,
+the trimming curves, and trim functions that neighbouring faces share (`geometry.hybrid.sealing`; Song and Cohen 2019,
 Sections 3 and 5). ``tolerance`` is the wanted distance to the CAD surfaces.
 
 ``untouched`` B-splines act on no element beside a curve, ``revised`` ones do, ``trim`` functions carry the curves;

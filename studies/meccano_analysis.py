@@ -27,9 +27,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.layouts.blocks import Blocks, cube, pillowed, place
 from geometry.meccano import Settings, domain_of, refine_domain, stored_space
 from geometry.meccano.adaptive import by_cell, doerfler
-from geometry.meccano.blocks import Blocks, cube, pillowed, place
 from geometry.meccano.collocation import quasi_interpolation
 from geometry.meccano.domain import bare, build_domain
 from geometry.meccano.hierarchical import hierarchy

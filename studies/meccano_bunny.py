@@ -28,10 +28,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.layouts.blocks import place
 from geometry.meccano import Settings, domain_of, read_surface
 from geometry.meccano.bisection import FULL
-from geometry.meccano.blocks import place
-from geometry.meccano.distance import distances
 from geometry.meccano.domain import bare
 from geometry.meccano.fitting import greville_points
 from geometry.meccano.hierarchical import hierarchy
@@ -51,8 +50,9 @@ from geometry.meccano.paper import (
 from geometry.meccano.parametrisation import Parametrisation
 from geometry.meccano.shapes import star
 from geometry.meccano.source import map_of
-from geometry.meccano.surface import Surface, volume
 from geometry.meccano.tmesh import TMesh, octree
+from geometry.simplices.distance import distances
+from geometry.simplices.surface import Surface, volume
 from iga.assembly import volume as content
 from iga.cells import TETRAHEDRON
 from iga.certificate import certify, summary

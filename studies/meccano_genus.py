@@ -21,14 +21,14 @@ from typing import Any
 
 import numpy as np
 
+from geometry.layouts.blocks import place
 from geometry.meccano import Settings, domain_of, read_surface
-from geometry.meccano.blocks import place
 from geometry.meccano.domain import bare
 from geometry.meccano.fitting import greville_points
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.shapes import torus
-from geometry.meccano.surface import Surface, genus
 from geometry.meccano.tmesh import from_arrays
+from geometry.simplices.surface import Surface, genus
 from iga.assembly import volume
 from iga.certificate import quality
 from iga.domain import Domain

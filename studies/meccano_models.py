@@ -17,9 +17,9 @@ from time import perf_counter
 
 from geometry.meccano import Settings, domain_of
 from geometry.meccano.shapes import ball, star, torus
-from geometry.meccano.surface import Surface
-from geometry.meccano.surface_file import read_surface
 from geometry.meccano.tmesh import from_arrays
+from geometry.simplices.reading import read_surface
+from geometry.simplices.surface import Surface
 from iga.assembly import volume
 from iga.certificate import quality
 from iga.domain import Domain

@@ -25,17 +25,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.layouts.blocks import cube, pillowed, place
 from geometry.meccano.bisection import FULL, kuhn, oriented, picture, refine_all
-from geometry.meccano.blocks import cube, pillowed, place
 from geometry.meccano.collocation import collocation, quasi_interpolation
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.interpolation import collocation as rational_values
 from geometry.meccano.interpolation import interpolate, points_and_slopes
 from geometry.meccano.parametrisation import Parametrisation, image
-from geometry.meccano.relocation import ideal_gradients, relocate
 from geometry.meccano.t_spline import TSpline, t_spline
 from geometry.meccano.tmesh import TMesh, cells_at, octree, refined, uniform
 from geometry.meccano.volume import parametrise
+from geometry.simplices.relocation import ideal_gradients, relocate
 from iga.progress import Progress
 from studies.figures import drawing
 from studies.study import Figure, Result, Size

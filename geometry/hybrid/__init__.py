@@ -1,7 +1,7 @@
 """Trimmed CAD solids: B-rep from STEP and IGES, watertight hybrid B-rep, hybrid volume."""
 
-from geometry.hybrid.brep import Brep
-from geometry.hybrid.cad import read_cad
+from geometry.cad.brep import Brep
+from geometry.cad.reading import read_cad
 from geometry.hybrid.settings import Settings
 from geometry.hybrid.source import build, domain_of, name, reads, refine
 

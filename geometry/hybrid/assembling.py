@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Brep, Face
+from geometry.cad.brep import Brep, Face
 from geometry.hybrid.chart import Chart, chart_points, line_frames, line_normals, line_points
 from geometry.hybrid.curves import fit_cubics
 from geometry.hybrid.facemesh import FaceMesh, interior_pairs

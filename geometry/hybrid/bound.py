@@ -20,8 +20,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Face
-from geometry.hybrid.evaluation import surface_values
+from geometry.cad.brep import Face
+from geometry.cad.evaluation import surface_values
 from iga.bernstein import bernstein
 from iga.cells import LINE
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from geometry.hybrid.brep import Face, curve_points, surface_frame, surface_points
+from geometry.cad.brep import Face, curve_points, surface_frame, surface_points
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Brep, Face, curve_points, surface_frame
+from geometry.cad.brep import Brep, Face, curve_points, surface_frame
 from geometry.hybrid.chart import Chart, to_chart, to_parameters
 from geometry.hybrid.grid import ALONG, Grid, followed
 from geometry.hybrid.pieces import Pieces

@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from geometry.closest import closest
 from geometry.hybrid.filling import LIMIT, fill
 from geometry.hybrid.shell import Shell
+from geometry.simplices.closest import closest
 from iga.assembly import matrix
 from iga.cells import QUADRILATERAL, TETRAHEDRON
 from iga.conforming import Complex, entity_keys, straight_domain

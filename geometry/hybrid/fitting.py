@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.cad.brep import Face, surface_frame
 from geometry.hybrid.bound import FEET, distance_bound
-from geometry.hybrid.brep import Face, surface_frame
 from geometry.hybrid.chart import Chart, to_parameters
 from geometry.hybrid.hbrep import polynomial_surface, tensor_rows
 from iga.bernstein import Bernstein, bernstein

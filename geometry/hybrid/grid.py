@@ -23,7 +23,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Brep, Coedge, Face, curve_points, surface_frame
+from geometry.cad.brep import Brep, Coedge, Face, curve_points, surface_frame
 from geometry.hybrid.sizing import Sizing, size_at
 from geometry.patch import Patch
 

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.cad.brep import Face, surface_frame, surface_points
 from geometry.hybrid.band import Band, make_band
-from geometry.hybrid.brep import Face, surface_frame, surface_points
 from geometry.hybrid.partition import Partition, partition
 from geometry.hybrid.triangle import CURVE, Phi, Psi, make_phi, selection, triangle_map
 from geometry.hybrid.trimming import Trimming, cut_at_knots, trim_face

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.crossing import crossing_pairs
+from geometry.cad.brep import Brep
 from geometry.hybrid.assembling import Assembled, Part
-from geometry.hybrid.brep import Brep
 from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import BICUBIC
 from geometry.hybrid.grid import count_intervals
 from geometry.hybrid.sizing import Sizing
+from geometry.simplices.crossing import crossing_pairs
 from iga.errors import InputError
 from iga.quadrature import gauss
 

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Brep, Curve, curve_points
+from geometry.cad.brep import Brep, Curve, curve_points
 from geometry.hybrid.curves import fit_cubics
 from geometry.hybrid.sizing import Sizing, divide_edge, size_at
 

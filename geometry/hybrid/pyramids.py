@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.crossing import crossing_pairs
+from geometry.simplices.crossing import crossing_pairs
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

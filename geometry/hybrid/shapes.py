@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Brep, Coedge, Curve, Face
-from geometry.hybrid.cad import brep_of
+from geometry.cad.brep import Brep, Coedge, Curve, Face
+from geometry.cad.reading import brep_of
 from geometry.patch import Patch
 from iga.errors import InputError
 

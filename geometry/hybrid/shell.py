@@ -41,7 +41,7 @@ class Shell:
     face : for each block (e,) number of the CAD face that each element lies on.
     names : name of each CAD face.
     adjust : (k, n) rows that are small where the surface inside a face goes on smoothly to its trimming curves
-        (`solid.Sealed`), or None.
+        (`sealing.Sealed`), or None.
     """
 
     space: Space

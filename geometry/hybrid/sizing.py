@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Brep, curve_points, curve_tangents, surface_frame
+from geometry.cad.brep import Brep, curve_points, curve_tangents, surface_frame
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

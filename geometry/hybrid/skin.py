@@ -26,16 +26,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from geometry.cad.brep import Brep
 from geometry.hybrid.assembling import assemble
-from geometry.hybrid.brep import Brep
 from geometry.hybrid.chart import make_chart
 from geometry.hybrid.cusps import refuse_cusps
 from geometry.hybrid.facemesh import FaceError, mesh_faces
 from geometry.hybrid.grid import agree, is_flat, kept_share, make_grid
 from geometry.hybrid.measures import measure
 from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
+from geometry.hybrid.sealing import Sealed, describe, seal, spline_blocks
 from geometry.hybrid.sizing import Sizing, size_edges
-from geometry.hybrid.solid import Sealed, describe, seal, spline_blocks, splined
+from geometry.hybrid.splining import splined
 from iga.domain import Space
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
@@ -96,7 +97,7 @@ def build_skin(
     where : name for messages.
     quads : quadrilaterals on curved faces, where they fit; triangles alone otherwise.
     splines : an HB-rep: quadrilaterals on all faces, whose B-splines, revised beside the trimming curves, and trim
-        functions are the functions of the skin (`solid`). The report has the numbers of `solid.describe` as ``hb_rep``.
+        functions are the functions of the skin (`sealing`), reported by `sealing.describe` as ``hb_rep``.
 
     Returns
     -------

@@ -4,7 +4,7 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
     skin        "triangles" (default), or "hybrid": quadrilaterals that are the CAD surface itself on curved faces
                 (rational ones to the tolerance), pyramids on them, and triangles along trimming curves; or "hb-rep":
                 the same on all faces, and the functions on the boundary are the faces' B-splines, revised beside the
-                trimming curves, and trim functions that neighbours share (`solid`). Triangles are the default because
+                trimming curves, and trim functions that neighbours share (`sealing`). Triangles are the default because
                 tetrahedra refine exactly and keep the full order, where pyramids, whose functions are rational, lose
                 some on warped bases; and because a few parts fold with quadrilaterals alone
     degree      3 (default) or more: degrees above three are added to the cubic volume
@@ -46,12 +46,12 @@ from typing import Any
 
 import numpy as np
 
+from geometry.cad.brep import Brep
+from geometry.cad.integrals import integrals_of, volume_spread
+from geometry.cad.reading import cad_format, read_cad
 from geometry.hybrid import refinement
-from geometry.hybrid.brep import Brep
-from geometry.hybrid.cad import cad_format, read_cad
 from geometry.hybrid.comparison import preserved
 from geometry.hybrid.hexes import has_hexes, with_hexes, with_tets
-from geometry.hybrid.integrals import integrals_of, volume_spread
 from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.settings import NAME, Settings, parse
 from geometry.hybrid.shapes import SHAPES

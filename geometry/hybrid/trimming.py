@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Coedge, Face, curve_points, curve_tangents, surface_frame, surface_points
+from geometry.cad.brep import Coedge, Face, curve_points, curve_tangents, surface_frame, surface_points
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

@@ -3,8 +3,8 @@
 from geometry.meccano.domain import refine_domain, stored_space
 from geometry.meccano.settings import Settings
 from geometry.meccano.source import build, domain_of, name, reads, refine
-from geometry.meccano.surface import Surface
-from geometry.meccano.surface_file import read_surface
+from geometry.simplices.reading import read_surface
+from geometry.simplices.surface import Surface
 
 __all__ = ["Settings", "Surface", "build", "domain_of", "name", "read_surface", "reads", "refine", "refine_domain",
            "stored_space"]

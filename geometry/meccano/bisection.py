@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import Blocks, place
+from geometry.layouts.blocks import Blocks, place
 from geometry.meccano.kernels_bisection import LEVEL, SIMPLICES, bisect, enter, place_between
 from geometry.meccano.parametrisation import LEVELS
 from iga.errors import InputError

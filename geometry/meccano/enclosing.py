@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import Blocks
+from geometry.layouts.blocks import Blocks
 from geometry.meccano.morton import ancestors, key_of
 from geometry.meccano.parametrisation import LEVELS
 from geometry.meccano.tmesh import DEPTH, TMesh, grown

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.closest import closest
-from geometry.meccano.distance import samples
 from geometry.meccano.skin import Skin, values_at
-from geometry.meccano.surface import Surface, area_vectors
+from geometry.simplices.closest import closest
+from geometry.simplices.distance import samples
+from geometry.simplices.surface import Surface, area_vectors
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import Blocks
+from geometry.layouts.blocks import Blocks
 from geometry.meccano.distinct import distinct
 from geometry.meccano.splines import bezier_table, refinement_table, window
 from geometry.meccano.tmesh import Nodes, TMesh

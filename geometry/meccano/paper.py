@@ -22,10 +22,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.layouts.blocks import place
+from geometry.layouts.boundary_map import BoundaryMap, on_surface
 from geometry.meccano.adaptation import Measure
 from geometry.meccano.bisection import FULL
-from geometry.meccano.blocks import place
-from geometry.meccano.boundary_map import BoundaryMap, on_surface
 from geometry.meccano.domain import bare
 from geometry.meccano.fitting import fit_boundary, greville_points
 from geometry.meccano.hierarchical import Hierarchy, hierarchy

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import Blocks
+from geometry.layouts.blocks import Blocks
 from geometry.meccano.kernels_location import LEAF, find, tree_boxes
 from iga.errors import InputError
 

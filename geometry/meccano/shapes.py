@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.surface import Surface
+from geometry.simplices.surface import Surface
 
 Array = NDArray[np.float64]
 

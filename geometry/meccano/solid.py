@@ -26,15 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from geometry.closest import closest
-from geometry.meccano.blocks import place
+from geometry.layouts.blocks import place
 from geometry.meccano.collocation import prolongation
 from geometry.meccano.errors import Errors, errors_of, feet, surface_samples, unit_normals
 from geometry.meccano.fitting import fit_boundary, greville_points
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.skin import Skin, facet_rule, side_coordinates, skin_of, values_at, values_on
-from geometry.meccano.surface import Surface
 from geometry.meccano.tmesh import refined
+from geometry.simplices.closest import closest
+from geometry.simplices.surface import Surface
 from iga.assembly import matrix
 from iga.distortion import own_shapes
 from iga.domain import Domain

@@ -38,23 +38,23 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano import surface_file
+from geometry.layouts.blocks import pillowed
+from geometry.layouts.boundary_map import BoundaryMap, boundary_map, carried, on_surface
+from geometry.layouts.partition import partition, price
+from geometry.layouts.polycube import polycube_map
+from geometry.layouts.voxels import cuboids
 from geometry.meccano.adaptation import Measure
-from geometry.meccano.blocks import pillowed
-from geometry.meccano.boundary_map import BoundaryMap, boundary_map, carried, on_surface
-from geometry.meccano.distance import distances
 from geometry.meccano.domain import build_domain, refine_domain
 from geometry.meccano.errors import tessellation
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.paper import Kind, Remedy, boundary_triangles, paper_solid
-from geometry.meccano.partition import partition, price
-from geometry.meccano.polycube import polycube_map
 from geometry.meccano.settings import NAME, Settings, parse
 from geometry.meccano.shapes import SHAPES
 from geometry.meccano.solid import Aims, solid_of
-from geometry.meccano.surface import Surface, genus, volume
 from geometry.meccano.tmesh import uniform
-from geometry.meccano.voxels import cuboids
+from geometry.simplices import reading as surface_file
+from geometry.simplices.distance import distances
+from geometry.simplices.surface import Surface, genus, volume
 from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
 from iga.progress import QUIET, Progress, progress

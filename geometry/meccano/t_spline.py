@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import Blocks, cube
+from geometry.layouts.blocks import Blocks, cube
 from geometry.meccano.distinct import distinct
 from geometry.meccano.enclosing import enclosing, frames_of
 from geometry.meccano.parametrisation import LEVELS

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import Blocks
+from geometry.layouts.blocks import Blocks
 from geometry.meccano.morton import ancestors, key_of, place_of
 from geometry.meccano.parametrisation import LEVELS
 from iga.errors import InputError

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_matrix
 from scipy.sparse.linalg import splu
 
+from geometry.layouts.blocks import Blocks
 from geometry.meccano.adaptation import Measure, Onto, adapt, boundary_nodes
 from geometry.meccano.bisection import BisectedMesh, coloured, kuhn, oriented, picture, place_new, refine, refine_all
-from geometry.meccano.blocks import Blocks
 from geometry.meccano.parametrisation import Parametrisation
-from geometry.meccano.relocation import (
+from geometry.simplices.relocation import (
     Relocated,
     ideal_gradients,
     mean_ratios,

@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 
-from geometry.meccano.blocks import Blocks, place
+from geometry.layouts.blocks import Blocks, place
 from iga.cells import HEXAHEDRON, QUADRILATERAL
 
 

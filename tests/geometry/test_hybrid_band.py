@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geometry.cad.brep import Coedge, Face, fit_curve, surface_points
 from geometry.hybrid import shapes
 from geometry.hybrid.band import Band
-from geometry.hybrid.brep import Coedge, Face, fit_curve, surface_points
 from geometry.hybrid.hbrep import (
     HybridFace,
     assemble_face,

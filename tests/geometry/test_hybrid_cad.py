@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geometry.hybrid import read_cad, shapes
-from geometry.hybrid.brep import (
+from geometry.cad.brep import (
     Brep,
     curve_points,
     curve_tangents,
@@ -19,14 +18,15 @@ from geometry.hybrid.brep import (
     surface_frame,
     surface_points,
 )
-from geometry.hybrid.cad import cad_format
+from geometry.cad.reading import cad_format
+from geometry.hybrid import read_cad, shapes
 from iga.errors import FormatError, InputError
 
 
 def write_step(shape: object, path: Path) -> Path:
     from OCP.STEPControl import STEPControl_StepModelType, STEPControl_Writer
 
-    from geometry.hybrid.kernel import quiet
+    from geometry.cad.kernel import quiet
 
     quiet()
     writer = STEPControl_Writer()

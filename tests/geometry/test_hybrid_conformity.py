@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import geometry
-from geometry.hybrid.conformity import jumps, worst_jump
 from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.refinement import refine
 from iga.block import Block
+from iga.conformity import jumps, worst_jump
 from iga.domain import Domain, Space, all_facets, counts
 from iga.errors import InputError
 from tests.geometry.hybrid_skins import bend, spline_box

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from geometry.cad.brep import Brep, surface_points
 from geometry.hybrid import read_cad, shapes
-from geometry.hybrid.brep import Brep, surface_points
 from geometry.hybrid.fitting import bezier_nets
 from geometry.hybrid.grid import agree, count_intervals, is_flat, make_grid, winding
 from geometry.hybrid.pieces import divide_edges, least_pieces
@@ -152,8 +152,8 @@ def test_rational_faces_are_met_to_the_tolerance(data: Path, file: str, share: f
 
 
 def test_rational_quadrilaterals_are_near_by_proof() -> None:
+    from geometry.cad.brep import Face
     from geometry.hybrid.bound import FEET, distance_bound
-    from geometry.hybrid.brep import Face
     from geometry.hybrid.fitting import fit_quads, project
     from geometry.patch import Patch
 

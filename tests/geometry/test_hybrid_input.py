@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import geometry
+from geometry.cad.brep import Curve, check_brep
+from geometry.cad.kernel import explore
+from geometry.cad.reading import brep_of
 from geometry.hybrid import read_cad, shapes
-from geometry.hybrid.brep import Curve, check_brep
-from geometry.hybrid.cad import brep_of
-from geometry.hybrid.kernel import explore
 from geometry.hybrid.skin import build_skin
 from iga.errors import FormatError, InputError
 from tests.geometry.test_hybrid_cad import write_step

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geometry.hybrid.cad import read_cad
-from geometry.hybrid.integrals import integrals_of, volume_spread
+from geometry.cad.integrals import integrals_of, volume_spread
+from geometry.cad.reading import read_cad
 from geometry.hybrid.shapes import SHAPES
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("OCP") is None, reason="Open CASCADE is not installed")

@@ -7,11 +7,11 @@ import importlib.util
 import numpy as np
 import pytest
 
-from geometry.closest import closest
 from geometry.hybrid.field import field_under, paths, skeleton
 from geometry.hybrid.layers import complete_with_layers, inner_shell, valid_layers
 from geometry.hybrid.refinement import refine
 from geometry.hybrid.ways import _meet, directions, ways_of
+from geometry.simplices.closest import closest
 from iga.assembly import integral, volume
 from iga.certificate import certify
 from iga.domain import check, counts

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geometry.crossing import crossing_pairs
+from geometry.cad.brep import Brep, curve_points, surface_points
 from geometry.hybrid import read_cad, shapes
-from geometry.hybrid.brep import Brep, curve_points, surface_points
 from geometry.hybrid.chart import line_frames, line_points, make_chart, to_chart, to_parameters
 from geometry.hybrid.curves import bezier_points, fit_cubics
 from geometry.hybrid.sizing import normal_curvature
 from geometry.hybrid.skin import Skin, build_skin
 from geometry.hybrid.triangulation import triangulate
+from geometry.simplices.crossing import crossing_pairs
 from iga.bernstein import bernstein
 from iga.cells import TRIANGLE
 from iga.errors import InputError

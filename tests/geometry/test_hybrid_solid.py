@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 pytest.importorskip("OCP")
 
 import geometry
+from geometry.cad.brep import Brep, curve_points, surface_points
 from geometry.hybrid import shapes
 from geometry.hybrid import skin as skins
-from geometry.hybrid.brep import Brep, curve_points, surface_points
 from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import project
 from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.numbering import numbering, skin_rows
+from geometry.hybrid.sealing import Sealed, column_condition, seal
 from geometry.hybrid.shell import shell_of
-from geometry.hybrid.solid import Sealed, Splined, column_condition, seal, splined
+from geometry.hybrid.splining import Splined, splined
 from geometry.hybrid.subdividing import subdivided
 from geometry.hybrid.volume import complete, fill_skin
 from iga.block import bezier_coefficients

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from geometry.cad.brep import surface_points
 from geometry.hybrid import shapes
-from geometry.hybrid.brep import surface_points
 from geometry.hybrid.chart import chart_steps, make_chart, parameter_bends, parameter_steps, to_chart, to_parameters
 from geometry.hybrid.fitting import CUBIC
 from geometry.hybrid.strip import OTHERS, inner_rows, jets, phi_of, side_rows, vertex_rows

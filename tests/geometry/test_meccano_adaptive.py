@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from geometry.layouts.blocks import cube
 from geometry.meccano.adaptive import adapt, by_cell, doerfler
-from geometry.meccano.blocks import cube
 from geometry.meccano.collocation import quasi_interpolation, refine
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.tmesh import refined, uniform

@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from geometry.layouts.blocks import Blocks, cube, pillowed, place, polycube
 from geometry.meccano.bisection import FULL, BisectedMesh, coloured, kuhn, oriented, place_new, refine, refine_all
-from geometry.meccano.blocks import Blocks, cube, pillowed, place, polycube
 from iga.errors import InputError
 
 RING = polycube(np.array([(x, y, 0) for x in range(3) for y in range(3) if (x, y) != (1, 1)]))

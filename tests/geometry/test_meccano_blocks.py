@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geometry.meccano.blocks import Blocks, boundary_corners, cube, pillowed, place, polycube
+from geometry.layouts.blocks import Blocks, boundary_corners, cube, pillowed, place, polycube
 from iga.bernstein import bernstein
 from iga.block import Block
 from iga.certificate import certify

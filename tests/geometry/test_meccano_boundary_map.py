@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geometry.meccano.blocks import cube
-from geometry.meccano.boundary_map import BoundaryMap, boundary_map, on_surface
-from geometry.meccano.layout import SQUARE, Layout, balance, borders, round_corners
-from geometry.meccano.mean_value import area_stretch, flipped, mean_value
-from geometry.meccano.partition import cycles, partition
-from geometry.meccano.paths import loop_of, split_edges, straight, trace, without_chords
-from geometry.meccano.surface import Surface, area_vectors, checked_surface, volume
-from geometry.meccano.surface_file import read_surface
+from geometry.layouts.blocks import cube
+from geometry.layouts.boundary_map import BoundaryMap, boundary_map, on_surface
+from geometry.layouts.layout import SQUARE, Layout, balance, borders, round_corners
+from geometry.layouts.partition import cycles, partition
+from geometry.simplices.mean_value import area_stretch, flipped, mean_value
+from geometry.simplices.paths import loop_of, split_edges, straight, trace, without_chords
+from geometry.simplices.reading import read_surface
+from geometry.simplices.surface import Surface, area_vectors, checked_surface, volume
 from iga.cells import HEXAHEDRON
 from iga.errors import InputError
 

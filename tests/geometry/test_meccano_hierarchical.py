@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from geometry.meccano.blocks import Blocks, cube, place
+from geometry.layouts.blocks import Blocks, cube, place
 from geometry.meccano.collocation import collocation, prolongation, quasi_interpolation, refine
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.splines import bezier_table, refinement_table

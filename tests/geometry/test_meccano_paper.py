@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import geometry
+from geometry.layouts.blocks import cube, place
 from geometry.meccano import Settings, domain_of, source
 from geometry.meccano.bisection import kuhn, oriented, refine_all
-from geometry.meccano.blocks import cube, place
 from geometry.meccano.domain import bare
 from geometry.meccano.fitting import greville_points
 from geometry.meccano.hierarchical import hierarchy
@@ -29,9 +29,9 @@ from geometry.meccano.paper import (
 )
 from geometry.meccano.parametrisation import LEVELS, Parametrisation
 from geometry.meccano.shapes import ball
-from geometry.meccano.surface import Surface, volume
 from geometry.meccano.t_spline import t_spline
 from geometry.meccano.tmesh import octree, refined, uniform
+from geometry.simplices.surface import Surface, volume
 from iga import InputError
 from iga.assembly import volume as content
 from iga.certificate import certify

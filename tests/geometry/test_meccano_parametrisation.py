@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from geometry.layouts.blocks import Blocks, boundary_corners, cube, pillowed, place, polycube
 from geometry.meccano.adaptation import adapt, boundary_nodes, facet_distances
 from geometry.meccano.bisection import coloured, kuhn, oriented, picture, refine, refine_all
-from geometry.meccano.blocks import Blocks, boundary_corners, cube, pillowed, place, polycube
 from geometry.meccano.parametrisation import Parametrisation, image, locate
-from geometry.meccano.relocation import ideal_gradients, quality
 from geometry.meccano.volume import parametrise
+from geometry.simplices.relocation import ideal_gradients, quality
 from iga.errors import InputError
 
 Onto = Callable[[np.ndarray, np.ndarray], np.ndarray]

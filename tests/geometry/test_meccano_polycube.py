@@ -10,22 +10,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geometry.layouts.blocks import Blocks, polycube
+from geometry.layouts.boundary_map import on_surface
+from geometry.layouts.frame import frame_of
+from geometry.layouts.isotopy import deforms
+from geometry.layouts.layout import borders, check, round_corners
+from geometry.layouts.partition import partition
+from geometry.layouts.polycube import polycube_layout, polycube_map
+from geometry.layouts.voxels import cuboids, orientation, shares, topology, voxelise
 from geometry.meccano import source
-from geometry.meccano.blocks import Blocks, polycube
-from geometry.meccano.boundary_map import on_surface
-from geometry.meccano.frame import frame_of
-from geometry.meccano.isotopy import deforms
-from geometry.meccano.layout import borders, check, round_corners
-from geometry.meccano.mean_value import flipped
-from geometry.meccano.overlay import Curve, join, overlay, split, spread
-from geometry.meccano.partition import partition
-from geometry.meccano.polycube import polycube_layout, polycube_map
 from geometry.meccano.settings import parse
 from geometry.meccano.shapes import ball
 from geometry.meccano.source import map_of
-from geometry.meccano.surface import Surface, area_vectors, euler_characteristic, genus, volume
-from geometry.meccano.surface_file import read_surface
-from geometry.meccano.voxels import cuboids, orientation, shares, topology, voxelise
+from geometry.simplices.mean_value import flipped
+from geometry.simplices.overlay import Curve, join, overlay, split, spread
+from geometry.simplices.reading import read_surface
+from geometry.simplices.surface import Surface, area_vectors, euler_characteristic, genus, volume
 from iga.cells import HEXAHEDRON
 from iga.errors import InputError
 from iga.progress import QUIET

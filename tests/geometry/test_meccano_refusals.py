@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from geometry.meccano.shapes import ball, torus
-from geometry.meccano.surface import Surface, volume
-from geometry.meccano.surface_file import read_surface
+from geometry.simplices.reading import read_surface
+from geometry.simplices.surface import Surface, volume
 from studies.cli import main
 
 

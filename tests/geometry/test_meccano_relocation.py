@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from geometry.layouts.blocks import cube, pillowed, polycube
 from geometry.meccano.bisection import BisectedMesh, coloured, kuhn, picture, refine, refine_all
-from geometry.meccano.blocks import cube, pillowed, polycube
-from geometry.meccano.kernels_relocation import energy_gradient, positive
-from geometry.meccano.relocation import ideal_gradients, mean_ratios, quality, relocate, relocate_globally
+from geometry.simplices.kernels_relocation import energy_gradient, positive
+from geometry.simplices.relocation import ideal_gradients, mean_ratios, quality, relocate, relocate_globally
 from iga.errors import InputError
 
 

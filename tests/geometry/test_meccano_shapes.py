@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geometry.meccano.shapes import SHAPES, ball, torus
-from geometry.meccano.surface import checked_surface, genus, volume
+from geometry.simplices.surface import checked_surface, genus, volume
 
 
 @pytest.mark.parametrize("name", SHAPES)

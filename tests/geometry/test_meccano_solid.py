@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from geometry.meccano.blocks import cube, pillowed
-from geometry.meccano.boundary_map import boundary_map, carried, on_surface
+from geometry.layouts.blocks import cube, pillowed
+from geometry.layouts.boundary_map import boundary_map, carried, on_surface
+from geometry.layouts.partition import partition
 from geometry.meccano.errors import Errors
 from geometry.meccano.hierarchical import hierarchy
-from geometry.meccano.partition import partition
 from geometry.meccano.shapes import ball
 from geometry.meccano.skin import skin_of
 from geometry.meccano.solid import Aims, Solid, _laid, _marked, solid_of

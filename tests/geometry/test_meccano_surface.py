@@ -11,10 +11,10 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from geometry.closest import closest
-from geometry.meccano.distance import distances, samples
-from geometry.meccano.surface import Surface, checked_surface, genus, volume
-from geometry.meccano.surface_file import read_surface, reads
+from geometry.simplices.closest import closest
+from geometry.simplices.distance import distances, samples
+from geometry.simplices.reading import read_surface, reads
+from geometry.simplices.surface import Surface, checked_surface, genus, volume
 from iga.errors import FormatError, InputError
 
 OCTAHEDRON = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)

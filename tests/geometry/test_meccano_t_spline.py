@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geometry.meccano.blocks import cube, place
+from geometry.layouts.blocks import cube, place
 from geometry.meccano.interpolation import blending, collocation, interpolate, points_and_slopes, resampled
 from geometry.meccano.parametrisation import LEVELS
 from geometry.meccano.t_spline import TSpline, boundaries, places_of, t_spline

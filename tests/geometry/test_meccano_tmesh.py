@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geometry.meccano.blocks import cube, place
+from geometry.layouts.blocks import cube, place
 from geometry.meccano.parametrisation import LEVELS
 from geometry.meccano.tmesh import (
     DEPTH,

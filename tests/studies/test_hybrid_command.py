@@ -49,8 +49,8 @@ def tube(folder: Path) -> Path:
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeCylinder
     from OCP.STEPControl import STEPControl_StepModelType, STEPControl_Writer
 
+    from geometry.cad.brep import surface_points
     from geometry.hybrid import read_cad
-    from geometry.hybrid.brep import surface_points
 
     solid = BRepAlgoAPI_Cut(
         BRepPrimAPI_MakeCylinder(OUTER, HEIGHT, np.pi / 2).Shape(),

@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.evaluation import curve_values, surface_values
+from geometry.cad.evaluation import curve_values, surface_values
 from geometry.knots import evaluation
 from geometry.patch import Patch
 from iga.errors import InputError

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import polycube
-from geometry.meccano.boundary_map import BoundaryMap, boundary_map
-from geometry.meccano.drawing import Drawing, layout_of, relax
-from geometry.meccano.frame import frame_of
-from geometry.meccano.layout import Layout, balance, by_labels
-from geometry.meccano.paths import refined
-from geometry.meccano.routing import route
-from geometry.meccano.surface import Surface, genus
-from geometry.meccano.voxels import Voxels, place, voxelise
-from geometry.meccano.wrapping import corner_vertices, wrap
+from geometry.layouts.blocks import polycube
+from geometry.layouts.boundary_map import BoundaryMap, boundary_map
+from geometry.layouts.drawing import Drawing, layout_of, relax
+from geometry.layouts.frame import frame_of
+from geometry.layouts.layout import Layout, balance, by_labels
+from geometry.layouts.routing import route
+from geometry.layouts.voxels import Voxels, place, voxelise
+from geometry.layouts.wrapping import corner_vertices, wrap
+from geometry.simplices.paths import refined
+from geometry.simplices.surface import Surface, genus
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 

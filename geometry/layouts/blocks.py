@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geometry.meccano.relocation import ideal_gradients, relocate
+from geometry.simplices.relocation import ideal_gradients, relocate
 from iga.bernstein import bernstein
 from iga.cells import HEXAHEDRON, QUADRILATERAL, Cell
 from iga.errors import InputError

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geometry.meccano.blocks import Blocks
-from geometry.meccano.frame import Frame
-from geometry.meccano.layout import Layout
-from geometry.meccano.mean_value import mean_value
-from geometry.meccano.overlay import Curve, Curves, Overlay, across_sides, join, overlay, positions, split, spread
-from geometry.meccano.surface import Surface
+from geometry.layouts.blocks import Blocks
+from geometry.layouts.frame import Frame
+from geometry.layouts.layout import Layout
+from geometry.simplices.mean_value import mean_value
+from geometry.simplices.overlay import Curve, Curves, Overlay, across_sides, join, overlay, positions, split, spread
+from geometry.simplices.surface import Surface
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 

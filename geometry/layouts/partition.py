@@ -17,9 +17,9 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import Blocks, cube
-from geometry.meccano.boundary_map import BoundaryMap, boundary_map
-from geometry.meccano.layout import (
+from geometry.layouts.blocks import Blocks, cube
+from geometry.layouts.boundary_map import BoundaryMap, boundary_map
+from geometry.layouts.layout import (
     Layout,
     borders,
     by_labels,
@@ -31,9 +31,9 @@ from geometry.meccano.layout import (
     straighten_border,
     with_border,
 )
-from geometry.meccano.mean_value import signed_areas
-from geometry.meccano.paths import refined, trace
-from geometry.meccano.surface import Surface, area_vectors, checked_surface, genus
+from geometry.simplices.mean_value import signed_areas
+from geometry.simplices.paths import refined, trace
+from geometry.simplices.surface import Surface, area_vectors, checked_surface, genus
 from iga.cells import HEXAHEDRON
 from iga.errors import InputError
 from iga.progress import QUIET, Progress

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Brep, Coedge, Curve, Edge, Face, check_brep, fit_curve, surface_points
-from geometry.hybrid.kernel import Label, explore, key_of, measures, read_iges, read_step, where_open, xyz
+from geometry.cad.brep import Brep, Coedge, Curve, Edge, Face, check_brep, fit_curve, surface_points
+from geometry.cad.kernel import Label, explore, key_of, measures, read_iges, read_step, where_open, xyz
 from geometry.patch import Patch, make_patch
 from iga.errors import FormatError, InputError
 

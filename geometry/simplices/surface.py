@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geometry.crossing import crossing_pairs
+from geometry.simplices.crossing import crossing_pairs
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

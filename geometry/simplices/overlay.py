@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from geometry.meccano.surface import Surface
+from geometry.simplices.surface import Surface
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

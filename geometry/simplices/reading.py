@@ -22,9 +22,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from geometry.meccano.mending import mended
-from geometry.meccano.surface import Surface, checked_surface, fans, require_numbers
 from geometry.quiet import quiet
+from geometry.simplices.mending import mended
+from geometry.simplices.surface import Surface, checked_surface, fans, require_numbers
 from iga.errors import FormatError, InputError
 
 Array = NDArray[np.float64]

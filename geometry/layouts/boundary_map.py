@@ -18,11 +18,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import Blocks
-from geometry.meccano.layout import SQUARE, Layout, patch_loop, round_corners
-from geometry.meccano.mean_value import area_stretch, flipped, mean_value
-from geometry.meccano.paths import without_chords
-from geometry.meccano.surface import Surface
+from geometry.layouts.blocks import Blocks
+from geometry.layouts.layout import SQUARE, Layout, patch_loop, round_corners
+from geometry.simplices.mean_value import area_stretch, flipped, mean_value
+from geometry.simplices.paths import without_chords
+from geometry.simplices.surface import Surface
 from geometry.tree import Tree, triangle_tree
 from iga.errors import InputError
 from iga.progress import QUIET, Progress

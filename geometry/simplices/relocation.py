@@ -24,7 +24,7 @@ import nlopt
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.kernels_relocation import energy_gradient, incidence, shapes, sweep
+from geometry.simplices.kernels_relocation import energy_gradient, incidence, shapes, sweep
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

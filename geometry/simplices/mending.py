@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.surface import degenerate
+from geometry.simplices.surface import degenerate
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.closest import closest
-from geometry.meccano.surface import Surface
+from geometry.simplices.closest import closest
+from geometry.simplices.surface import Surface
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
-from geometry.meccano.frame import Frame
-from geometry.meccano.routing import Guides
-from geometry.meccano.surface import Surface, area_vectors
+from geometry.layouts.frame import Frame
+from geometry.layouts.routing import Guides
+from geometry.simplices.surface import Surface, area_vectors
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

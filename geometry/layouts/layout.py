@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geometry.meccano.blocks import Blocks
-from geometry.meccano.mean_value import mean_value
-from geometry.meccano.paths import Path, loop_of, straight, trace, without_chords
-from geometry.meccano.surface import Surface, area_vectors, sharp
+from geometry.layouts.blocks import Blocks
+from geometry.simplices.mean_value import mean_value
+from geometry.simplices.paths import Path, loop_of, straight, trace, without_chords
+from geometry.simplices.surface import Surface, area_vectors, sharp
 from iga.cells import QUADRILATERAL
 from iga.errors import InputError
 

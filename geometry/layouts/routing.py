@@ -22,9 +22,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from geometry.meccano.frame import Frame
-from geometry.meccano.overlay import Curve, Curves, Overlay, join, overlay, positions, split, spread
-from geometry.meccano.surface import Surface
+from geometry.layouts.frame import Frame
+from geometry.simplices.overlay import Curve, Curves, Overlay, join, overlay, positions, split, spread
+from geometry.simplices.surface import Surface
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 

@@ -16,7 +16,7 @@ coefficients R and the control points Upsilon of the curves in space: both faces
 
 Each face's B-splines have the CAD surface's knots, with its continuity, and simple knots (C2) at the other lines of the
 face's grid: the h-refinement of the trimmed B-rep before the HB-rep is built. Weights do not enter: a rational surface,
-or one of a higher degree, is replaced by a bicubic polynomial spline within a share of the tolerance (`splined`), with
+or one of a higher degree, is replaced by a bicubic polynomial spline within a share of the tolerance (`splining`), with
 a proved bound of the distance where the degree allows, because the curves in space, that neighbours share, carry no
 weights. Triangles near a pole, and faces without a quadrilateral, keep C0 functions of their own.
 
@@ -33,28 +33,23 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.sparse import coo_array, csr_array, vstack
 
+from geometry.cad.brep import Face, surface_frame
 from geometry.hybrid.assembling import SIDES, TURNED, Assembled, Part
-from geometry.hybrid.bound import FEET, distance_bound
-from geometry.hybrid.brep import Brep, Face, curve_points, surface_frame, surface_points
 from geometry.hybrid.chart import chart_steps, parameter_bends, parameter_steps, to_parameters, widths
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.facemesh import FaceMesh
-from geometry.hybrid.fitting import BICUBIC, CUBIC, fit_triangles, measure_quads, measure_triangles, project
-from geometry.hybrid.grid import ALONG
-from geometry.hybrid.hbrep import polynomial_surface, tensor_rows
+from geometry.hybrid.fitting import BICUBIC, CUBIC, fit_triangles, measure_quads, measure_triangles
+from geometry.hybrid.hbrep import tensor_rows
+from geometry.hybrid.splining import Splined, on_lines
 from geometry.hybrid.strip import OTHERS, inner_rows, phi_of, side_rows, vertex_rows
-from geometry.knots import apply, insertion
 from geometry.patch import Patch
 from iga.block import Block
 from iga.domain import Space
-from iga.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-SHARE = 0.5
-"""Share of the tolerance that replacing a rational surface by a polynomial spline may use."""
 NARROWS = 3.0
 """How much the chart of a face may narrow towards a pole within a triangle that has the B-splines' functions."""
 ZERO = 1e-13
@@ -69,24 +64,6 @@ _NEAR = np.array([
 ])
 """Functions (i, 2) beside corner i on the sides to the corners that follow."""
 _INNER = int(np.flatnonzero((CUBIC.exponents == 1).all(axis=1))[0])
-
-
-@dataclass(frozen=True, eq=False)
-class Splined:
-    """A solid whose faces are bicubic splines where they can be.
-
-    Attributes
-    ----------
-    brep : the solid with replaced surfaces; curves as they were.
-    apart : (f,) bound of the distance between a face and the CAD surface, 0 where it is the CAD surface.
-    proved : (f,) the bound is proved, not sampled.
-    without : faces that are no splines, and why.
-    """
-
-    brep: Brep
-    apart: Array
-    proved: Mask
-    without: dict[int, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,65 +91,6 @@ class Sealed:
     numbers: tuple[Index | None, ...]
     on_curve: Mask
     adjust: csr_array
-
-
-def splined(brep: Brep, tolerance: float) -> Splined:
-    """Replace surfaces by bicubic polynomial splines.
-
-    Parameters
-    ----------
-    tolerance : of the skin, relative to the diagonal of the solid.
-    """
-    faces, apart, proved, without = [], np.zeros(len(brep.faces)), np.ones(len(brep.faces), dtype=bool), {}
-    for f, face in enumerate(brep.faces):
-        extent = float(np.linalg.norm(np.ptp(face.surface.control.reshape(-1, 3), axis=0)))
-        exact = face.surface.weights is None and max(face.surface.degree) <= 3
-        try:
-            surface = polynomial_surface(face.surface, SHARE * tolerance * brep.diagonal / extent)
-        except InputError as error:
-            without[f] = str(error)
-            surface = face.surface
-        if not exact and f not in without:
-            apart[f], proved[f] = _apart(face, surface)
-        faces.append(replace(face, surface=surface))
-    return Splined(replace(brep, faces=tuple(faces)), apart, proved, without)
-
-
-def _apart(face: Face, made: Patch) -> tuple[float, bool]:
-    """Bound of the distance of a bicubic surface to the surface of a face inside the box of its loops."""
-    t = np.linspace(0.0, 1.0, 33)
-    outline = np.concatenate([curve_points(c.curve, t) for loop in face.loops for c in loop])
-    box = outline.min(axis=0), outline.max(axis=0)
-    lines = []
-    for d in range(2):
-        x = np.unique(np.concatenate([face.surface.knots[d], made.knots[d]]))
-        x = x[(x > box[0][d]) & (x < box[1][d])]
-        lines.append(np.concatenate([[box[0][d]], x, [box[1][d]]]))
-    low = np.stack(np.meshgrid(*(x[:-1] for x in lines), indexing="ij"), axis=-1).reshape(-1, 2)
-    high = np.stack(np.meshgrid(*(x[1:] for x in lines), indexing="ij"), axis=-1).reshape(-1, 2)
-    large = ((high - low) > 1e-9 * np.ptp(outline, axis=0)).all(axis=1)
-    low, high = low[large], high[large]
-    A, dofs = tensor_rows(made.knots, low, high)
-    net = np.einsum("enb,enc->ebc", A, made.control.reshape(-1, 3)[dofs])
-    at = np.stack(np.meshgrid(FEET, FEET, indexing="ij"), axis=-1).reshape(-1, 2)
-    uv = (low[:, None] + at * (high - low)[:, None]).reshape(-1, 2)
-    x = surface_points(made, uv)
-    feet, gap, _ = project(face, uv, x)
-    found = distance_bound(face, low, high, net, feet.reshape(len(low), -1, 2))
-    return (float(np.abs(gap).max()), False) if found is None else (float(found.max()), True)
-
-
-def on_lines(surface: Patch, lines: tuple[Array, Array]) -> Patch:
-    """The same bicubic surface with a simple knot at each line that is no knot yet."""
-    control, knots = surface.control, []
-    for d in range(2):
-        t = surface.knots[d]
-        reach = 10 * ALONG * float(np.ptp(t))
-        new = [x for x in lines[d].tolist() if np.abs(t - x).min() > reach and t[0] < x < t[-1]]
-        fine = np.sort(np.concatenate([t, new]))
-        control = apply(insertion(t, 3, fine), control, d)
-        knots.append(fine)
-    return Patch((knots[0], knots[1]), control)
 
 
 def seal(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> Sealed:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from geometry.meccano.surface import Surface, sharp
+from geometry.simplices.surface import Surface, sharp
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

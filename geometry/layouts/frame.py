@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.meccano.blocks import Blocks
-from geometry.meccano.layout import round_corners
+from geometry.layouts.blocks import Blocks
+from geometry.layouts.layout import round_corners
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

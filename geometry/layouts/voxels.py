@@ -29,8 +29,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from geometry.meccano.isotopy import deforms
-from geometry.meccano.surface import Surface, area_vectors, genus, volume
+from geometry.layouts.isotopy import deforms
+from geometry.simplices.surface import Surface, area_vectors, genus, volume
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.brep import Brep, Face, curve_points, curve_tangents, surface_frame
+from geometry.cad.brep import Brep, Face, curve_points, curve_tangents, surface_frame
 
 Array = NDArray[np.float64]
 

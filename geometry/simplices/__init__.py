@@ -1,0 +1,1 @@
+"""Triangulated surfaces and other simplicial meshes: reading, mending, paths, cuts, closest points, maps, smoothing."""
