@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iga.block import bezier_coefficients
-from iga.conforming import entity_keys
+from iga.conforming import Complex, entity_keys
 from iga.domain import Domain
 from iga.errors import InputError
 
@@ -50,28 +50,33 @@ class Jump:
     map: float
 
 
-def jumps(domain: Domain, samples: int = 4, seed: int = 20190) -> tuple[Jump, ...]:
+def jumps(domain: Domain, mesh: Complex, samples: int = 4, seed: int = 20190) -> tuple[Jump, ...]:
     """Jumps across all facets between two cells, by the kinds of cell.
 
     Facets of one cell alone, on the boundary or between a face and what it is divided into, are left out.
 
+    Parameters
+    ----------
+    mesh : connectivity of the domain, a part for each block.
+    samples : points on each facet.
+
     Raises
     ------
-    InputError : the domain does not carry its mesh.
+    InputError : the mesh does not have the elements of the domain.
     """
-    arrays, blocks = domain.provenance.arrays, domain.space.blocks
-    if any(f"corners{k}" not in arrays for k in range(len(blocks))):
-        raise InputError("the domain does not carry the mesh of a hybrid volume")
+    blocks = domain.space.blocks
+    expected = [(block.basis.cell.name, block.elements) for block in blocks]
+    if expected != [(cell.name, len(corners)) for cell, corners in mesh.parts]:
+        raise InputError(f"a mesh of {len(mesh.parts)} parts does not have the elements of the domain's blocks")
     random = np.random.default_rng(seed)
     columns = np.column_stack([domain.points, random.uniform(-1.0, 1.0, domain.space.n)])
     nets = [bezier_coefficients(block, _homogeneous(domain, columns)) for block in blocks]
-    corners = [np.asarray(arrays[f"corners{k}"], dtype=np.int64) for k in range(len(blocks))]
     diagonal = float(np.linalg.norm(np.ptp(domain.points, axis=0)))
     found: list[Jump] = []
     for size in (3, 4):
         sides = [
             (k, face, own[:, list(block.basis.cell.faces[face].vertices)])
-            for k, (block, own) in enumerate(zip(blocks, corners))
+            for k, (block, (_, own)) in enumerate(zip(blocks, mesh.parts))
             for face in range(len(block.basis.cell.faces)) if len(block.basis.cell.faces[face].vertices) == size
         ]  # fmt: skip
         if sides:
@@ -79,9 +84,9 @@ def jumps(domain: Domain, samples: int = 4, seed: int = 20190) -> tuple[Jump, ..
     return tuple(found)
 
 
-def worst_jump(domain: Domain, samples: int = 4, seed: int = 20190) -> float:
+def worst_jump(domain: Domain, mesh: Complex, samples: int = 4, seed: int = 20190) -> float:
     """Largest jump of a random field and of the map across all facets between two cells; see `jumps`."""
-    return max((max(jump.field, jump.map) for jump in jumps(domain, samples, seed)), default=0.0)
+    return max((max(jump.field, jump.map) for jump in jumps(domain, mesh, samples, seed)), default=0.0)
 
 
 def _homogeneous(domain: Domain, columns: Array) -> Array:

@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import geometry
+from geometry.hybrid.refinement import mesh_of
 from iga.conformity import worst_jump
 from iga.domain import Domain
 from iga.errors import InputError
@@ -106,7 +107,8 @@ def _shape(name: str, shape: str, settings: dict[str, Any]) -> tuple[dict[str, V
     except InputError as error:
         return _refused(name, str(error), clock.seconds), None
     row = row_of(name, describe(domain, clock))
-    return {**row, "jump": worst_jump(domain), "cpu": time.process_time() - before, "memory": None}, domain
+    row["jump"] = worst_jump(domain, mesh_of(domain))
+    return {**row, "cpu": time.process_time() - before, "memory": None}, domain
 
 
 def _file(path: Path, name: str, solid: int | None, target: Path) -> tuple[dict[str, Value], Domain | None]:
@@ -127,7 +129,8 @@ def _file(path: Path, name: str, solid: int | None, target: Path) -> tuple[dict[
     found = json.loads(done.stdout)
     row = row_of(name, found)
     domain = load(target)
-    row |= {"jump": worst_jump(domain), "seconds": clock.seconds, "cpu": cpu, "memory": found["peak_mb"]}
+    row["jump"] = worst_jump(domain, mesh_of(domain))
+    row |= {"seconds": clock.seconds, "cpu": cpu, "memory": found["peak_mb"]}
     return row, domain
 
 

@@ -112,7 +112,7 @@ def assemble(brep: Brep, edges: list[Pieces], meshes: list[FaceMesh], flat: Mask
                 touches = on_edge[own].any(axis=1)
                 inside = INNER_QUAD
             else:
-                local = m.triangles[:, ::-1] if face.reversed else m.triangles
+                local = m.outward
                 own = own[:, ::-1] if face.reversed else own
                 dofs = table.triangle_dofs(own)
                 fitted = fit_triangles(face, m.chart, m.points[local], shared[np.maximum(dofs, 0)])

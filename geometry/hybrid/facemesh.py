@@ -59,6 +59,11 @@ class FaceMesh:
     high: Array
     grid: Grid | None
 
+    @property
+    def outward(self) -> Index:
+        """The triangles turned so that their normals leave the solid."""
+        return self.triangles[:, ::-1] if self.chart.face.reversed else self.triangles
+
 
 class FaceError(InputError):
     """A face that cannot be meshed with the pieces that its edges have."""

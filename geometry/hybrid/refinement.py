@@ -59,6 +59,21 @@ class Bezier:
     facets: Mapping[str, Index]
 
 
+def mesh_of(domain: Domain) -> Complex:
+    """Connectivity of a hybrid volume.
+
+    Raises
+    ------
+    InputError : the domain does not carry its mesh.
+    """
+    arrays, blocks = domain.provenance.arrays, domain.space.blocks
+    if any(f"corners{k}" not in arrays for k in range(len(blocks))):
+        raise InputError("the domain does not carry the mesh of a hybrid volume")
+    return Complex(tuple(
+        (block.basis.cell, np.asarray(arrays[f"corners{k}"], dtype=np.int64)) for k, block in enumerate(blocks)
+    ))
+
+
 def bezier_of(domain: Domain) -> Bezier:
     """Bernstein coefficients of a domain's points and attributes.
 
@@ -66,10 +81,10 @@ def bezier_of(domain: Domain) -> Bezier:
     ------
     InputError : the domain does not carry its mesh, or cells differ in degree.
     """
-    space, arrays = domain.space, domain.provenance.arrays
+    space, given = domain.space, mesh_of(domain).parts
     degrees = {p for block in space.blocks for p in block.basis.degree}
-    if len(degrees) != 1 or any(f"corners{k}" not in arrays for k in range(len(space.blocks))):
-        raise InputError("the domain does not carry the mesh of a hybrid volume of one degree")
+    if len(degrees) != 1:
+        raise InputError(f"the cells of the domain have degrees {sorted(degrees)}, not one")
     attributes = [np.asarray(a).reshape(space.n, -1) for a in domain.attributes.values()]
     columns = np.column_stack([domain.points, *attributes])
     if space.weights is not None:
@@ -83,7 +98,7 @@ def bezier_of(domain: Domain) -> Bezier:
             continue
         sizes = np.array([space.blocks[k].elements for k in mine])
         place[mine] = np.column_stack([np.full(len(mine), len(parts)), np.cumsum(sizes) - sizes])
-        parts.append((CELLS[name], np.concatenate([np.asarray(arrays[f"corners{k}"], dtype=np.int64) for k in mine])))
+        parts.append((CELLS[name], np.concatenate([given[k][1] for k in mine])))
         coefficients.append(np.concatenate([bezier_coefficients(space.blocks[k], columns) for k in mine]))
     facets = {
         name: np.concatenate([np.zeros((0, 3), dtype=np.int64), *(
@@ -315,11 +330,7 @@ def certified(domain: Domain) -> Domain:
     """The domain with inner control points moved where elements are not certified, and how many stay so."""
     if (certify(domain, 1e9).verdict > 0).all():
         return replace(domain, report={**domain.report, "not_certified": 0})
-    mesh = Complex(tuple(
-        (block.basis.cell, np.asarray(domain.provenance.arrays[f"corners{k}"]))
-        for k, block in enumerate(domain.space.blocks)
-    ))
     free = np.ones(domain.space.n, dtype=bool)
-    free[trace_functions(domain, boundary(mesh))] = False
+    free[trace_functions(domain, boundary(mesh_of(domain)))] = False
     moved = unfold(domain, free, sized_shapes(domain))
     return replace(domain, points=moved.points, report={**domain.report, "not_certified": len(moved.invalid)})

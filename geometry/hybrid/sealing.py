@@ -189,7 +189,7 @@ def _at_poles(solid: Splined, meshes: list[FaceMesh], made: Assembled, points: A
             left = np.isin(dofs[:, _INNER], rest)
             if left.all() or not left.any():
                 continue
-            corners = (mesh.triangles[:, ::-1] if face.reversed else mesh.triangles)[left]
+            corners = mesh.outward[left]
             fitted = fit_triangles(face, mesh.chart, mesh.points[corners], points[dofs[left]])
             points[dofs[left, _INNER]] = fitted.control[:, _INNER]
     return np.asarray(points[rest])
@@ -270,7 +270,7 @@ def _face_rows(
             A, functions = tensor_rows(knots, _snapped(knots, mesh.low), _snapped(knots, mesh.high))
             add(dofs.ravel(), np.repeat(functions, 16, axis=0), np.swapaxes(A, 1, 2).reshape(-1, 16))
         elif len(dofs):
-            corners = mesh.triangles[:, ::-1] if face.reversed else mesh.triangles
+            corners = mesh.outward
             w = widths(mesh.chart, mesh.points)[corners]
             regular = w.max(axis=1) <= NARROWS * w.min(axis=1)
             corners, dofs = corners[regular], dofs[regular]
@@ -346,7 +346,7 @@ def _measured(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> tuple[
                 control = control[:, TURNED] if face.reversed else control
                 found = measure_quads(face, mesh.low, mesh.high, control)
             else:
-                corners = mesh.triangles[:, ::-1] if face.reversed else mesh.triangles
+                corners = mesh.outward
                 found = measure_triangles(face, mesh.chart, mesh.points[corners], control)
             distance[mine], folded[mine] = found.distance + solid.apart[f], found.folded
         parts.append(replace(part, distance=distance, folded=folded))

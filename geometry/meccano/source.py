@@ -52,7 +52,7 @@ from geometry.meccano.settings import NAME, Settings, parse
 from geometry.meccano.shapes import SHAPES
 from geometry.meccano.solid import Aims, solid_of
 from geometry.meccano.tmesh import uniform
-from geometry.simplices import reading as surface_file
+from geometry.simplices import reading
 from geometry.simplices.distance import distances
 from geometry.simplices.surface import Surface, genus, volume
 from iga.domain import Domain, Provenance, with_report
@@ -73,7 +73,7 @@ DEAR = 0.3
 
 def reads(path: str | Path) -> bool:
     """Whether a file looks like a surface triangulation."""
-    return surface_file.reads(path)
+    return reading.reads(path)
 
 
 def build(path: str | Path, **parameters: Any) -> Domain:
@@ -93,7 +93,7 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     clock = Clock()
     if str(path) in SHAPES:
         return domain_of(SHAPES[str(path)](), settings, str(path), {}, clock, progress())
-    surface, report = surface_file.read_surface(path, settings.mend)
+    surface, report = reading.read_surface(path, settings.mend)
     clock.lap("surface")
     return domain_of(surface, settings, Path(path).name, report, clock, progress())
 

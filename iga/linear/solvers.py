@@ -23,17 +23,8 @@ from iga.domain import Domain
 from iga.errors import InputError
 from iga.linear.factorization import Factor, checked, estimate, factorize
 from iga.linear.krylov import Progress, conjugate_gradients
-from iga.linear.preconditioners import (
-    COARSER,
-    CoarseSpace,
-    Preconditioner,
-    aggregation,
-    degree_one,
-    linear_prolongation,
-    on_aggregates,
-    rigid_motions,
-    two_level,
-)
+from iga.linear.layout import Layout, coarse_space, layout_of
+from iga.linear.preconditioners import Preconditioner, aggregation, two_level
 from iga.linear.products import absolute_product, product
 from iga.linear.supports import require_held
 
@@ -139,45 +130,10 @@ def solve(
             raise InputError("the direct solver needs an assembled matrix")
         z, log = _solve_operator(K, f, held, values, tolerance, preconditioner, start, max_iterations, progress)
     else:
-        task = _Task(checked(K), f, held, values, _layout(domain, constraint, K.shape[0]), tolerance, preconditioner,
-                     start, max_iterations, progress)
+        layout = layout_of(domain, constraint, K.shape[0])
+        task = _Task(checked(K), f, held, values, layout, tolerance, preconditioner, start, max_iterations, progress)
         z, log = _solve_matrix(task, solver)
     return (z if T is None else T @ z), log
-
-
-@dataclass(frozen=True, eq=False)
-class _Layout:
-    """What is known of the unknowns: components c, points (n, 3) or None, coarse prolongation (n, v) or None."""
-
-    components: int = 1
-    points: Array | None = None
-    domain: Domain | None = None
-    rows: Index | None = None
-
-    def modes(self, n: int) -> Array:
-        """Functions without energy, (n*c, m)."""
-        if self.components == 3 and self.points is not None:
-            return rigid_motions(self.points)
-        return np.tile(np.eye(self.components), (n // self.components, 1))
-
-    def prolongation(self) -> csr_array | None:
-        """From degree one to the free coefficients, for one component."""
-        if self.domain is None:
-            return None
-        W = linear_prolongation(self.domain.space)
-        return W if W is None or self.rows is None else csr_array(W[self.rows])
-
-    def elements(self, held: NDArray[np.bool_]) -> list[Index]:
-        """Free unknowns (e, m) of each block's elements, counted without the held ones; -1 for those and for slaves."""
-        assert self.domain is not None
-        c = self.components
-        number = np.where(held, -1, np.cumsum(~held) - 1)
-        if self.rows is not None:
-            all_numbers = np.full((self.domain.space.n, c), -1, dtype=np.int64)
-            all_numbers[self.rows] = number.reshape(-1, c)
-        else:
-            all_numbers = number.reshape(-1, c)
-        return [all_numbers[block.dofs].reshape(block.elements, -1) for block in self.domain.space.blocks]
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +144,7 @@ class _Task:
     f: Array
     held: NDArray[np.bool_]
     values: Array
-    layout: _Layout
+    layout: Layout
     tolerance: float
     preconditioner: Callable[[Array], Array] | None
     start: Array | None
@@ -209,27 +165,6 @@ class _Constrained:
 
     def __matmul__(self, z: Array) -> Array:
         return np.asarray(self.T.T @ (self.K @ (self.T @ z)))
-
-
-def _layout(domain: Domain | None, constraint: csr_array | None, n: int) -> _Layout:
-    if domain is None:
-        return _Layout()
-    if constraint is None:
-        components = n // domain.space.n
-        if components * domain.space.n != n:
-            raise InputError(f"{n} unknowns do not fit the {domain.space.n} functions of the domain")
-        return _Layout(components, domain.points, domain)
-    # A free coefficient is usually the coefficient of one function: the row of T with a single one.
-    T = csr_array(constraint)
-    T.eliminate_zeros()
-    single = np.flatnonzero(np.diff(T.indptr) == 1)
-    single = single[np.abs(T.data[T.indptr[single]] - 1.0) < 1e-12]
-    rows = np.full(T.shape[1], -1, dtype=np.int64)
-    rows[T.indices[T.indptr[single]]] = single
-    components = n // T.shape[1]
-    if (rows < 0).any():
-        return _Layout(components)
-    return _Layout(components, domain.points[rows], domain, rows)
 
 
 def _fixed(fixed: tuple[Index, Array] | None, n: int) -> tuple[NDArray[np.bool_], Array]:
@@ -299,7 +234,7 @@ def _solve_cg(task: _Task, f: Array, free: Index, inner: csr_array | None, began
         modes = layout.modes(K.shape[0])
         modes[held] = 0.0
         if W is not None:
-            M = two_level(inner, _coarse(layout, W, held, modes), layout.elements(held))
+            M = two_level(inner, coarse_space(layout, W, held, modes), layout.elements(held))
         else:
             order = _ordering(inner, block)
             keep = keep[order]
@@ -330,19 +265,12 @@ def preconditioner_for(
     held : (N,) which of all unknowns are held.
     domain, constraint : where the unknowns live, as for `solve`.
     """
-    layout = _layout(domain, constraint, len(held))
+    layout = layout_of(domain, constraint, len(held))
     modes = layout.modes(len(held))
     W = layout.prolongation()
     if W is None:
         return aggregation(K, modes[~held])
-    return two_level(K, _coarse(layout, W, held, modes), layout.elements(held))
-
-
-def _coarse(layout: _Layout, W: csr_array, held: NDArray[np.bool_], modes: Array) -> CoarseSpace:
-    """Degree-one functions where they are few (W for one component), else modes (N, m) on aggregates of elements."""
-    if COARSER * W.shape[1] <= W.shape[0]:
-        return degree_one(_inside(W, layout.components, held), modes[~held])
-    return on_aggregates(modes[~held], layout.elements(held))
+    return two_level(K, coarse_space(layout, W, held, modes), layout.elements(held))
 
 
 def _solve_operator(
@@ -379,17 +307,6 @@ def _relative(part: Array, whole: Array) -> float:
     """Length of a part over the length of the whole, or the former if the latter is zero."""
     length = float(np.linalg.norm(whole))
     return float(np.linalg.norm(part)) / (length or 1.0)
-
-
-def _inside(W: csr_array, c: int, held: NDArray[np.bool_]) -> csr_array:
-    """Prolongation to the free unknowns from the vertex functions that vanish at all held ones."""
-    W = csr_array(kron(W, eye_array(c), format="csr")) if c > 1 else W
-    touched = np.zeros(W.shape[1], dtype=bool)
-    touched[W[np.flatnonzero(held)].indices] = True
-    W = W[np.flatnonzero(~held)]
-    present = np.zeros(W.shape[1], dtype=bool)
-    present[W.indices] = True
-    return csr_array(W[:, np.flatnonzero(present & ~touched)])
 
 
 def prefer_direct(K: csr_array) -> bool:

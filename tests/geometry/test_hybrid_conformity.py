@@ -10,7 +10,7 @@ import pytest
 
 import geometry
 from geometry.hybrid.layers import complete_with_layers
-from geometry.hybrid.refinement import refine
+from geometry.hybrid.refinement import mesh_of, refine
 from iga.block import Block
 from iga.conformity import jumps, worst_jump
 from iga.domain import Domain, Space, all_facets, counts
@@ -30,13 +30,13 @@ def layered() -> Domain:
 
 
 def pairs(domain: Domain) -> dict[tuple[str, str, int], int]:
-    return {(*jump.cells, jump.vertices): jump.facets for jump in jumps(domain)}
+    return {(*jump.cells, jump.vertices): jump.facets for jump in jumps(domain, mesh_of(domain))}
 
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_all_kinds_of_facets_conform(layered: Domain, level: int) -> None:
     domain = refine(layered) if level else layered
-    assert worst_jump(domain, samples=6) < LIMIT
+    assert worst_jump(domain, mesh_of(domain), samples=6) < LIMIT
     kinds = {
         ("hexahedron", "hexahedron", 4), ("hexahedron", "wedge", 4), ("wedge", "wedge", 4),
         ("hexahedron", "pyramid", 4), ("tetrahedron", "wedge", 3), ("pyramid", "tetrahedron", 3),
@@ -50,7 +50,7 @@ def test_every_facet_is_compared(layered: Domain) -> None:
     sides = {"hexahedron": 6, "wedge": 5, "pyramid": 5, "tetrahedron": 4}
     total = sum(sides[cell] * count for cell, count in counts(layered).items())
     outside = sum(len(f.elements) for f in all_facets(layered))
-    assert 2 * sum(jump.facets for jump in jumps(layered)) + outside == total
+    assert 2 * sum(jump.facets for jump in jumps(layered, mesh_of(layered))) + outside == total
 
 
 @pytest.mark.parametrize("cell", ["hexahedron", "wedge", "pyramid"])
@@ -64,7 +64,8 @@ def test_a_wrong_number_shows(layered: Domain, cell: str) -> None:
             dofs[0, [0, 1]] = dofs[0, [1, 0]]
             block, done = replace(block, dofs=dofs), True
         blocks.append(block)
-    assert worst_jump(replace(layered, space=Space(tuple(blocks), layered.space.n))) > 1e-3
+    wrong = replace(layered, space=Space(tuple(blocks), layered.space.n))
+    assert worst_jump(wrong, mesh_of(wrong)) > 1e-3
 
 
 def test_cad_parts_conform() -> None:
@@ -72,17 +73,22 @@ def test_cad_parts_conform() -> None:
     part = geometry.build("curved_difference", "hybrid", skin="hybrid", size=0.5, tolerance=1e-3, subdivide=0)
     found = pairs(part)
     assert found["pyramid", "tetrahedron", 3] == 4 * counts(part)["pyramid"]
-    assert worst_jump(part) < LIMIT
+    assert worst_jump(part, mesh_of(part)) < LIMIT
     part = geometry.build("curved_box", "hybrid", layers=3, size=0.6, tolerance=1e-3)
     assert pairs(part)["wedge", "wedge", 4] > 0
-    assert worst_jump(part) < LIMIT
+    assert worst_jump(part, mesh_of(part)) < LIMIT
 
 
 def test_a_domain_without_its_mesh_is_refused() -> None:
     with pytest.raises(InputError, match="mesh of a hybrid volume"):
-        jumps(geometry.build("cube", "tets"))
+        mesh_of(geometry.build("cube", "tets"))
+
+
+def test_the_mesh_of_another_domain_is_refused(layered: Domain) -> None:
+    with pytest.raises(InputError, match="does not have the elements"):
+        jumps(geometry.build("cube", "tets"), mesh_of(layered))
 
 
 def test_seeds_give_the_same_numbers(layered: Domain) -> None:
-    assert jumps(layered, seed=3) == jumps(layered, seed=3)
-    assert np.isfinite([jump.field for jump in jumps(layered)]).all()
+    assert jumps(layered, mesh_of(layered), seed=3) == jumps(layered, mesh_of(layered), seed=3)
+    assert np.isfinite([jump.field for jump in jumps(layered, mesh_of(layered))]).all()

@@ -14,7 +14,7 @@ from geometry.hybrid.filling import fault, fill, signed_volumes
 from geometry.hybrid.flat_corners import tangents_of, without_flat_corners
 from geometry.hybrid.numbering import numbering, skin_rows, volume_rows
 from geometry.hybrid.pyramids import apexes
-from geometry.hybrid.refinement import bezier_of, pyramid_children, pyramid_matrices, refine
+from geometry.hybrid.refinement import bezier_of, mesh_of, pyramid_children, pyramid_matrices, refine
 from geometry.hybrid.subdividing import subdivided
 from geometry.hybrid.volume import complete, corners_of, fill_skin, skin_facets
 from iga.assembly import integral, volume
@@ -46,11 +46,6 @@ def bent():
 @pytest.fixture(scope="module")
 def fine(bent):
     return refine(bent, 1)
-
-
-def mesh_of(domain):
-    arrays = domain.provenance.arrays
-    return Complex(tuple((b.basis.cell, arrays[f"corners{k}"]) for k, b in enumerate(domain.space.blocks)))
 
 
 def jumps(domain, seed=5, samples=4):
