@@ -101,7 +101,7 @@ WAYS: dict[str, Way] = {
 BUNNY: dict[str, Way] = {
     "tets": Way(partial(geometry.build, DATA / "tet" / "bunny.mesh", "tets"), {"full": 1}, 2),
     "tets to hexes": Way(
-        partial(geometry.build, DATA / "tet" / "bunny.mesh", "tets", convert="hex4"), {"full": 1}, 2
+        partial(geometry.build, DATA / "tet" / "bunny.mesh", "tets", convert="hex4"), {"full": 0}, 2
     ),
     "catmull_clark": Way(
         partial(geometry.build, DATA / "hex" / "bunny_octree.vtk", "catmull_clark", repair=True), {"full": 0}, 2.5
