@@ -47,6 +47,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status
 
 
+def _direction(text: str) -> list[float]:
+    """Three numbers of the command line, "1,-2,0.5"."""
+    numbers = [float(part) for part in text.split(",")]  # what argparse makes of a ValueError names the option
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise ValueError(text)
+    return numbers
+
+
 def _fail(message: str, status: int) -> int:
     print("iga: " + " ".join(message.split()), file=sys.stderr)
     return status
@@ -174,7 +182,8 @@ def _bench(options: argparse.Namespace) -> Answer:
 def _plot(options: argparse.Namespace) -> Answer:
     from studies.drawing import draw
 
-    return {"files": [str(draw(options.file, options.field, options.output, options.cut))]}
+    made = draw(options.file, options.field, options.output, options.cut, options.view, options.up)
+    return {"files": [str(made)]}
 
 
 def _export(options: argparse.Namespace) -> Answer:
@@ -349,6 +358,9 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument("file", metavar="FILE", help="DOMAIN.npz or OUT.vtu")
     plot.add_argument("--field", metavar="F", help="field to colour by")
     plot.add_argument("--cut", metavar="AXIS", help="cut the solid open: x, -x, y, -y, z or -z")
+    about = "direction from the solid to the eye (default: oblique); --view=-1,0,0 where it begins with a minus"
+    plot.add_argument("--view", metavar="X,Y,Z", type=_direction, help=about)
+    plot.add_argument("--up", choices=("x", "y", "z"), default="z", help="axis that points up (default z)")
     plot.add_argument("-o", "--output", required=True, metavar="PNG")
 
     export = command("export", _export, "write a domain for other programs")

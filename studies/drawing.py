@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from iga.errors import InputError
@@ -10,7 +11,10 @@ from iga.pictures.plot import plot_domain, plot_field
 from iga.store import load
 
 
-def draw(path: str | Path, field: str | None, out: str | Path, cut: str | None = None) -> Path:
+def draw(
+    path: str | Path, field: str | None, out: str | Path, cut: str | None = None,
+    view: Sequence[float] | None = None, up: str = "z",
+) -> Path:
     """Draw a ``.npz`` domain or a ``.vtu`` solution.
 
     Parameters
@@ -18,6 +22,8 @@ def draw(path: str | Path, field: str | None, out: str | Path, cut: str | None =
     field : field or attribute to colour by; a solution shows its first field, a domain its named boundaries.
     out : PNG file.
     cut : axis to cut along ("x", "-z", ..) to see inside.
+    view : direction from the solid to the eye (default: oblique).
+    up : axis that points up.
 
     Raises
     ------
@@ -36,8 +42,8 @@ def draw(path: str | Path, field: str | None, out: str | Path, cut: str | None =
     if field is None and path.suffix.lower() == ".vtu":
         field = next(iter(fields), None)
     if field is None:
-        plot_domain(domain, out, cut=cut)
+        plot_domain(domain, out, cut=cut, view=view, up=up)
         return out
     warp = fields.get("displacement") if field != "temperature" else None
-    plot_field(domain, fields[field], field, out, cut=cut, warp=warp)
+    plot_field(domain, fields[field], field, out, cut=cut, warp=warp, view=view, up=up)
     return out

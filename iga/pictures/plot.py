@@ -36,7 +36,8 @@ COLOURS = (
 )  # fmt: skip
 EDGE = "#2b2b2b"
 LEGEND = 14
-VIEW = (1.0, -1.5, 0.85)
+#: Axes that point up in a picture, with the direction from the solid to the eye that goes with each.
+VIEWS = {"x": (0.85, 1.0, -1.5), "y": (1.0, 0.85, 1.5), "z": (1.0, -1.5, 0.85)}
 
 # --- pictures --------------------------------------------------------------------------------------------------------
 
@@ -49,6 +50,7 @@ def plot_domain(
     names: bool = True,
     title: str = "",
     view: Sequence[float] | None = None,
+    up: str = "z",
     size: int = 1000,
 ) -> NDArray[np.uint8]:
     """Draw a domain: elements as curves, named boundaries in colours.
@@ -59,6 +61,7 @@ def plot_domain(
     cut : a `Cut`, or just its axis ("x", "-z"), to see inside.
     edges, names : draw the elements' edges; a legend of boundary names (if there is more than one).
     view : direction from the solid to the eye; by default an oblique one, such that a cut faces the eye.
+    up : axis that points up in the picture, "x", "y" or "z".
     size : longer side of the solid in pixels.
 
     Returns
@@ -80,7 +83,7 @@ def plot_domain(
         if edges:
             _curves(scene, skin)
 
-    picture = _draw(skin, _direction(plane, view), size, paint)
+    picture = _draw(skin, _direction(plane, view, up), _axis(up), size, paint)
     legend = [(parts[n], colour) for n, colour in palette.items() if n >= 0] if names and len(parts) > 1 else []
     if len(legend) > LEGEND:
         legend = [*legend[:LEGEND], (f"and {len(legend) - LEGEND} more", "none")]
@@ -107,6 +110,7 @@ def plot_field(
     colours: str | None = None,
     title: str = "",
     view: Sequence[float] | None = None,
+    up: str = "z",
     size: int = 1000,
 ) -> NDArray[np.uint8]:
     """Draw a field on a domain.
@@ -122,7 +126,7 @@ def plot_field(
     limits : range of the colours, by default that of the values shown.
     colours : name of a colour map; by default a perceptual sequential one, or a diverging one centred at zero for
         values of both signs.
-    cut, edges, title, view, size : as in `plot_domain`.
+    cut, edges, title, view, up, size : as in `plot_domain`.
 
     Returns
     -------
@@ -155,7 +159,7 @@ def plot_field(
         if edges:
             _curves(scene, skin, opacity=0.5)
 
-    picture = _draw(skin, _direction(plane, view), size, paint)
+    picture = _draw(skin, _direction(plane, view, up), _axis(up), size, paint)
     heading = f"{name} ({unit})" if unit else name
     return compose(picture, path, Bar(colours, low, high, heading), title=title)
 
@@ -266,35 +270,43 @@ def _curves(scene: Any, skin: Skin, opacity: float = 0.9) -> None:
     actor.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, -8.0)
 
 
-def _direction(plane: Plane | None, view: Sequence[float] | None) -> Array:
+def _axis(up: str) -> Array:
+    if up not in VIEWS:
+        raise InputError(f"up is x, y or z, not {up!r}")
+    return np.eye(3)["xyz".index(up)]
+
+
+def _direction(plane: Plane | None, view: Sequence[float] | None, up: str) -> Array:
     """Unit vector from the solid to the eye: as told, or such that a cut faces the eye."""
+    axis = _axis(up)
     if view is not None:
         direction = np.asarray(view, dtype=float)
         if direction.shape != (3,) or not np.linalg.norm(direction) > 0.0:
             raise InputError(f"a view is three numbers, not all zero: {view!r}")
     elif plane is None:
-        direction = np.array(VIEW)
+        direction = np.array(VIEWS[up])
     else:
-        side = np.cross(np.eye(3)[int(np.argmin(np.abs(plane.normal)))], plane.normal)
-        side = np.cross((0.0, 0.0, 1.0), plane.normal) if abs(plane.normal[2]) < 0.9 else side
-        up = np.array([0.0, 0.0, 1.0]) if abs(plane.normal[2]) < 0.9 else np.array(VIEW) / np.linalg.norm(VIEW)
-        direction = plane.normal + 0.5 * side / np.linalg.norm(side) + 0.45 * up
+        steep = abs(plane.normal @ axis) >= 0.9
+        side = np.cross(np.eye(3)[int(np.argmin(np.abs(plane.normal)))] if steep else axis, plane.normal)
+        over = np.array(VIEWS[up]) / np.linalg.norm(VIEWS[up]) if steep else axis
+        direction = plane.normal + 0.5 * side / np.linalg.norm(side) + 0.45 * over
     return direction / np.linalg.norm(direction)
 
 
-def _frame(points: Array, direction: Array) -> tuple[Array, Array]:
-    """Upward axis of the picture, and the box [[left, low], [right, high]] of the points in its plane."""
-    up = np.array([0.0, 0.0, 1.0]) if abs(direction[2]) < 0.98 else np.array([0.0, 1.0, 0.0])
-    right = np.cross(up, direction)
+def _frame(points: Array, direction: Array, axis: Array) -> tuple[Array, Array]:
+    """Upward vector of the picture, and the box [[left, low], [right, high]] of the points in its plane."""
+    right = np.cross(axis if abs(direction @ axis) < 0.98 else np.roll(axis, -1), direction)
     right /= np.linalg.norm(right)
     up = np.cross(direction, right)
     flat = points @ np.column_stack([right, up])
     return up, np.array([flat.min(axis=0), flat.max(axis=0)])
 
 
-def _draw(skin: Skin, direction: Array, size: int, paint: Callable[[Any], None]) -> NDArray[np.uint8]:
+def _draw(
+    skin: Skin, direction: Array, axis: Array, size: int, paint: Callable[[Any], None]
+) -> NDArray[np.uint8]:
     """Draw in parallel projection so that the longer side of the picture is about `size` pixels."""
-    up, box = _frame(skin.points, direction)
+    up, box = _frame(skin.points, direction, axis)
     extent = np.maximum(box[1] - box[0], 1e-3 * np.ptp(box, axis=0).max() + 1e-300)
     pixels = np.maximum(np.ceil(size * extent / extent.max()), size // 4).astype(int) + 24
     scene = _scene((int(pixels[0]), int(pixels[1])))

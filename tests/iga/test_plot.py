@@ -133,3 +133,24 @@ def test_pictures_of_fields(drawing, tmp_path):
     flux = plot.plot_field(domain, lambda s: s.gradient(u), "flux", size=200, title="flux", cut="y")
     assert constant.size > 0
     assert flux.size > 0
+
+
+@pytest.mark.parametrize("up", ["x", "y", "z"])
+@pytest.mark.parametrize("cut", [None, "x", "-y", "z"])
+def test_up_axis_points_up(up, cut):
+    domain = grid()
+    skin = tessellate(domain, pieces=2)
+    axis = plot._axis(up)
+    direction = plot._direction(plane_of(domain, cut), None, up)
+    upward, box = plot._frame(skin.points, direction, axis)
+    assert upward @ axis > 0.1
+    assert abs(upward @ direction) < 1e-14
+    assert abs(np.linalg.norm(upward) - 1.0) < 1e-14
+    assert (box[1] > box[0]).all()
+    if cut is not None:
+        assert direction @ plane_of(domain, cut).normal > 0.5
+
+
+def test_unknown_up_axis_is_refused():
+    with pytest.raises(InputError, match="up is x, y or z"):
+        plot.plot_domain(grid(), up="w")
