@@ -210,8 +210,8 @@ def _figure_5(shown: _Solids, path: Path) -> None:
     places[mapping.tets] = mapping.places / FULL
     space = hierarchy(shown.tmesh)
     straight = bare(space, place(shown.tmesh.blocks, *greville_points(space)))
-    look: dict[str, Any] = {"names": False, "size": 700}
-    middle = Cut((1.0, 0.0, 0.0), smooth=True), Cut((0.0, -1.0, 0.0), smooth=True)
+    look: dict[str, Any] = {"names": False, "size": 700, "up": "y"}
+    middle = Cut((1.0, 0.0, 0.0), smooth=True), Cut((0.0, 0.0, 1.0), smooth=True)
     parts = [
         ("tetrahedra of the cube", plot_domain(straight_domain(mesh, places), **look)),
         ("T-mesh", plot_domain(whole_boundary(straight), **look)),
@@ -226,10 +226,10 @@ def _jacobians(shown: _Solids, path: Path) -> None:
     def scaled(samples: Samples) -> Array:
         return scale("hexahedron", samples.J)
 
-    look: dict[str, Any] = {"edges": False, "limits": (-1.0, 1.0), "colours": "RdBu", "size": 700}
+    look: dict[str, Any] = {"edges": False, "limits": (-1.0, 1.0), "colours": "RdBu", "size": 700, "up": "y"}
     parts = []
     for name, domain in (("T-splines on the cube", shown.paper), ("pillowed, certified", shown.certified)):
-        for cut in (None, Cut((0.0, -1.0, 0.0))):
+        for cut in (None, Cut((0.0, 0.0, 1.0))):
             title = name if cut is None else "cut"
             parts.append((title, plot_field(whole_boundary(domain), scaled, "scaled Jacobian", cut=cut, **look)))
     plot_panels(path, parts, 2)

@@ -94,7 +94,7 @@ def _row(name: str, surface: Callable[[], Surface], settings: Settings) -> tuple
 
 
 def _draw(domain: Domain, path: Path) -> None:
-    plot_domain(domain, path)
+    plot_domain(domain, path, up="y")
 
 
 def whole_boundary(domain: Domain) -> Domain:
