@@ -1,9 +1,7 @@
 r"""Truncated hierarchical B-splines on a T-mesh: the space of optimal order on a meccano.
 
-At level l every block carries tensor-product splines of degree p with open uniform knots on (2^l)^d cells. Across
-block sides functions of index zero (or last) in the normal direction are identified by their traces, also around
-irregular edges and corners, in whatever way the blocks' axes lie: level l is a basis of splines that are C^(p-1) inside
-blocks and C^0 across. With Omega_l the union of all cells of level >= l, a function of level l is
+Level l is a basis of splines that are C^(p-1) inside blocks, on (2^l)^d cells each, and C^0 across their sides
+(`levels`). With Omega_l the union of all cells of level >= l, a function of level l is
 
     *inside*   if its support, in all blocks, lies in Omega_l,
     *active*   if it is inside and not inside Omega_{l+1}: it touches a leaf cell of level l.
@@ -35,10 +33,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.layouts.blocks import Blocks
 from geometry.meccano.distinct import distinct
+from geometry.meccano.levels import Level, entities, level_of
 from geometry.meccano.splines import bezier_table, refinement_table, window
-from geometry.meccano.tmesh import Nodes, TMesh
+from geometry.meccano.tmesh import TMesh
 from iga.bernstein import LocalBasis, bernstein
 from iga.block import Block, Kronecker, Patterns
 from iga.domain import Space
@@ -88,143 +86,17 @@ def hierarchy(tmesh: TMesh, degree: int = 3) -> Hierarchy:
     """
     if not 1 <= degree <= 4:
         raise InputError(f"hierarchical splines have degrees 1 to 4, not {degree}")
-    glue = _entities(tmesh.blocks)
-    levels: list[_Level] = []
+    glue = entities(tmesh.blocks)
+    levels: list[Level] = []
     count = 0
     for nodes in tmesh.tree:
-        levels.append(_level(nodes, tmesh.blocks, glue, degree, count))
+        levels.append(level_of(nodes, tmesh.blocks, glue, degree, count))
         count += len(levels[-1].home)
     space, element = _space(tmesh, levels, degree, count)
     home = np.concatenate([own.home for own in levels])
     index = np.concatenate([own.index for own in levels])
     level = np.repeat(np.arange(len(levels)), [len(own.home) for own in levels])
     return Hierarchy(tmesh, degree, space, element, level, home, index)
-
-
-def offsets(degree: int, dim: int) -> Index:
-    """Numbers ((p+1)^d, d) of the splines on a cell relative to its place, in the order of Bernstein functions."""
-    return np.array(list(np.ndindex(*(degree + 1,) * dim)), dtype=np.int64)
-
-
-# --- splines of one level, glued --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _Entities:
-    """Corners, edges, sides and insides of blocks, by block and code (0 free, 1 low, 2 high; direction 0 slowest).
-
-    Attributes
-    ----------
-    number, copies : (k, 3^d) number of the entity, and how many blocks have it.
-    order : (k, 3^d, d) directions in canonical order, pinned ones last.
-    flip : (k, 3^d, d) whether each of those runs against the canonical sense.
-    free : (3^d,) number of free directions.
-    """
-
-    number: Index
-    copies: Index
-    order: Index
-    flip: Mask
-    free: Index
-
-
-def _entities(blocks: Blocks) -> _Entities:
-    """Canonical coordinates: from the corner of least number, first along the edge to the lesser neighbour."""
-    d, count = blocks.dim, len(blocks.corners)
-    codes = np.array(list(np.ndindex(*(3,) * d)), dtype=np.int64)
-    vertices = blocks.cell.vertices.astype(np.int64)
-    names = np.full((count, len(codes), 2**d), -1, dtype=np.int64)
-    order = np.tile(np.arange(d), (count, len(codes), 1))
-    flip = np.zeros((count, len(codes), d), dtype=bool)
-    for number, code in enumerate(codes):
-        free, pinned = np.flatnonzero(code == 0), np.flatnonzero(code)
-        own = np.flatnonzero((vertices[:, pinned] == code[pinned] - 1).all(axis=1))
-        corners = blocks.corners[:, own]
-        names[:, number, : len(own)] = np.sort(corners, axis=1)
-        if not len(pinned) or not len(free):
-            continue
-        origin = vertices[own[corners.argmin(axis=1)]]
-        ends = np.empty((count, len(free)), dtype=np.int64)
-        for a, axis in enumerate(free.tolist()):
-            end = origin.copy()
-            end[:, axis] ^= 1
-            place = (vertices[None] == end[:, None]).all(axis=2).argmax(axis=1)
-            ends[:, a] = blocks.corners[np.arange(count), place]
-        ranked = free[np.argsort(ends, axis=1)]
-        order[:, number] = np.column_stack([ranked, np.tile(pinned, (count, 1))])
-        flip[:, number, : len(free)] = np.take_along_axis(origin, ranked, axis=1) == 1
-    _, inverse, copies = np.unique(names.reshape(-1, 2**d), axis=0, return_inverse=True, return_counts=True)
-    inverse = inverse.reshape(count, len(codes))
-    return _Entities(inverse, copies[inverse], order, flip, (codes == 0).sum(axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class _Level:
-    """Splines of one level on the cells of that level.
-
-    Attributes
-    ----------
-    nodes : the cells.
-    inside : (m, i) whether the spline's support lies in Omega_l.
-    number : (m, i) number of the active function, or -1.
-    home, index : of the active functions, as in `Hierarchy`.
-    """
-
-    nodes: Nodes
-    inside: Mask
-    number: Index
-    home: Index
-    index: Index
-
-
-def _level(nodes: Nodes, blocks: Blocks, glue: _Entities, p: int, start: int) -> _Level:
-    local = offsets(p, blocks.dim)
-    key, support = _keys(nodes, blocks, glue, p)
-    _, first, inverse, found = np.unique(key.ravel(), return_index=True, return_inverse=True, return_counts=True)
-    inverse = inverse.reshape(key.shape)
-    inside = found == support.ravel()[first]
-    leaves = np.flatnonzero(nodes.leaf >= 0)
-    touched = np.zeros(len(found), dtype=bool)
-    touched[inverse[leaves].ravel()] = True
-    active = np.flatnonzero(inside & touched)
-    number = np.full(len(found), -1, dtype=np.int64)
-    number[active] = start + np.arange(len(active))
-    numbers = number[inverse]
-    # Home: of all leaf cells of a function, one in which it is a middle spline.
-    row, i = np.nonzero(numbers[leaves] >= 0)
-    distance = np.abs(2 * local - p).sum(axis=1)
-    owner = numbers[leaves[row], i] - start
-    best = np.lexsort((row, distance[i], owner))
-    best = best[np.flatnonzero(np.diff(owner[best], prepend=-1))]
-    home = nodes.leaf[leaves[row[best]]]
-    return _Level(nodes, inside[inverse], numbers, home, nodes.place[leaves[row[best]]] + local[i[best]])
-
-
-def _keys(nodes: Nodes, blocks: Blocks, glue: _Entities, p: int) -> tuple[Index, Index]:
-    """Keys of glued splines (m, i), and the number of cells in their supports (m, i)."""
-    d, n, intervals = blocks.dim, (1 << nodes.level) + p, 1 << nodes.level
-    if int(glue.number.max(initial=0) + 1) * n**d >= 2**63:
-        raise InputError(f"splines of level {nodes.level} on {len(blocks.corners)} blocks are too many to number")
-    index = nodes.place[:, None] + offsets(p, d)
-    spans = np.minimum(index, intervals - 1) - np.maximum(index - p, 0) + 1
-    support = spans.prod(axis=2)
-    code = np.zeros(index.shape[:2], dtype=np.int64)
-    for axis in range(d):
-        code = 3 * code + (index[..., axis] == 0) + 2 * (index[..., axis] == n - 1)
-    key = np.broadcast_to(glue.number[nodes.block, 0][:, None], code.shape).copy()
-    for axis in range(d):
-        key = key * n + index[..., axis]
-    m, i = np.nonzero(code)
-    block, code = nodes.block[m], code[m, i]
-    own = index[m, i]
-    pinned = glue.number[block, code]
-    for axis in range(d):
-        value = own[np.arange(len(own)), glue.order[block, code, axis]]
-        value = np.where(glue.flip[block, code, axis], n - 1 - value, value)
-        pinned = pinned * n + np.where(axis < glue.free[code], value, 0)
-    key[m, i] = pinned
-    support[m, i] *= glue.copies[block, code]
-    return key, support
 
 
 # --- elements ---------------------------------------------------------------------------------------------------------
@@ -261,7 +133,7 @@ class _Leaves:
     local: Index
 
 
-def _space(tmesh: TMesh, levels: list[_Level], p: int, count: int) -> tuple[Space, Index]:
+def _space(tmesh: TMesh, levels: list[Level], p: int, count: int) -> tuple[Space, Index]:
     """Blocks of elements from levels, and where each leaf cell went."""
     d = tmesh.dim
     basis = bernstein(tmesh.blocks.cell, p)
@@ -282,7 +154,7 @@ def _space(tmesh: TMesh, levels: list[_Level], p: int, count: int) -> tuple[Spac
     return Space(tuple(blocks), count), element
 
 
-def _descend(own: _Level, above: _States | None, parent: Index, p: int) -> tuple[_States, _Leaves]:
+def _descend(own: Level, above: _States | None, parent: Index, p: int) -> tuple[_States, _Leaves]:
     """Matrices of one level from those of the level above."""
     nodes = own.nodes
     full = own.inside.all(axis=1)
@@ -314,7 +186,7 @@ def _distinct(rows: NDArray[np.uint8], chosen: Mask) -> tuple[Index, Index]:
 
 
 def _matrices(
-    own: _Level, above: _States | None, before: Index, cells: Index, p: int, at_leaf: bool
+    own: Level, above: _States | None, before: Index, cells: Index, p: int, at_leaf: bool
 ) -> tuple[Index, Array, Index, Index]:
     """Matrices M of cells, or C = M E at leaves: start, rows, level and local as in `_States`."""
     nodes = own.nodes
@@ -373,7 +245,7 @@ def _along_axes(M: Array, factors: Array) -> Array:
     return np.ascontiguousarray(grid).reshape(m, r, size)
 
 
-def _regular(levels: list[_Level], leaves: list[_Leaves], p: int, element: Index, tmesh: TMesh) -> Block:
+def _regular(levels: list[Level], leaves: list[_Leaves], p: int, element: Index, tmesh: TMesh) -> Block:
     """Block 0: cells whose functions are the tensor-product splines of their own level."""
     d = tmesh.dim
     cells, dofs, kinds = [], [], []
@@ -392,7 +264,7 @@ def _regular(levels: list[_Level], leaves: list[_Leaves], p: int, element: Index
 
 
 def _irregular(
-    levels: list[_Level], leaves: list[_Leaves], parents: list[Index], size: int, number: int, element: Index,
+    levels: list[Level], leaves: list[_Leaves], parents: list[Index], size: int, number: int, element: Index,
     basis: LocalBasis,
 ) -> Block:
     """Block of the cells with dense patterns on which ``size`` functions act."""
