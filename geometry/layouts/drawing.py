@@ -3,7 +3,7 @@
 The first drawing comes from `routing`. It is then evened out: the patches around a corner form a disk; laid on the unit
 circle, with the neighbours of the corner at equal angles, the corner moves to the vertex nearest to the centre, and
 its edges become straight there. The disk's map is one to one (mean value coordinates on a convex polygon), so every
-drawing on the way is as valid as the first.
+drawing on the way is as valid as the first. Creases near the centre attract the corner (`creases`).
 
 Axis letters: v corner, p edge, f side, t triangle, c crossing, b vertex of a border.
 """
@@ -19,6 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from geometry.layouts.blocks import Blocks
+from geometry.layouts.creases import Attraction, attracted
 from geometry.layouts.frame import Frame
 from geometry.layouts.layout import Layout
 from geometry.simplices.mean_value import mean_value
@@ -51,12 +52,14 @@ class Drawing:
     curves: Curves
 
 
-def relax(drawing: Drawing, sweeps: int, progress: Progress = QUIET) -> Drawing:
-    """Move every corner to the middle of the patches around it, ``sweeps`` times."""
+def relax(
+    drawing: Drawing, sweeps: int, progress: Progress = QUIET, creases: Attraction | None = None
+) -> Drawing:
+    """Move every corner to the middle of the patches around it, or to a crease near it, ``sweeps`` times."""
     batches = _batches(drawing.frame)
     for _ in progress.track(range(sweeps), "patches"):
         for batch in batches:
-            drawing = _centre(drawing, batch)
+            drawing = _centre(drawing, batch, creases)
     return drawing
 
 
@@ -122,7 +125,7 @@ def _batches(frame: Frame) -> list[Index]:
     return [np.flatnonzero(colour == c) for c in range(int(colour.max()) + 1)]
 
 
-def _centre(drawing: Drawing, batch: Index) -> Drawing:
+def _centre(drawing: Drawing, batch: Index, creases: Attraction | None) -> Drawing:
     """Move the corners of one batch."""
     frame, curves = drawing.frame, drawing.curves
     moving = np.asarray(np.isin(frame.ends, batch).any(axis=1))
@@ -138,7 +141,7 @@ def _centre(drawing: Drawing, batch: Index) -> Drawing:
     merged = split(curves)
     for v in batch:
         r = region[home[corners[v]]]
-        made = _star(drawing, kept, cut, order[bounds[r] : bounds[r + 1]], int(v))
+        made = _star(drawing, kept, cut, order[bounds[r] : bounds[r + 1]], int(v), creases)
         if made is not None:
             corners[v] = made[0]
             for p, curve in made[1].items():
@@ -147,7 +150,7 @@ def _centre(drawing: Drawing, batch: Index) -> Drawing:
 
 
 def _star(
-    drawing: Drawing, kept: Curves, cut: Overlay, mine: Index, v: int
+    drawing: Drawing, kept: Curves, cut: Overlay, mine: Index, v: int, creases: Attraction | None
 ) -> tuple[int, dict[int, Curve]] | None:
     """New vertex of corner v and new curves of its edges, in the disk of triangles ``mine``; None to leave it."""
     frame, surface = drawing.frame, drawing.surface
@@ -183,7 +186,7 @@ def _star(
     if not fits.any():
         return None
     inside = np.flatnonzero(fits)
-    centre = int(inside[np.argmin((places[inside] ** 2).sum(axis=1))])
+    centre = int(inside[np.argmin(attracted(creases, v, used[inside], places[inside]))])
     across = across_sides(local)
     vertex = int(used[centre])
     new = {}

@@ -51,7 +51,7 @@ def _deform(current, goal):  # type: ignore[no-untyped-def]
                             reached |= level[i, j, k - 1] == grow or level[i, j, k + 1] == grow
                             if not reached:
                                 continue
-                            if _simple(current[i - 1 : i + 2, j - 1 : j + 2, k - 1 : k + 2]):
+                            if simple(current[i - 1 : i + 2, j - 1 : j + 2, k - 1 : k + 2]):
                                 current[i, j, k] = grow
                                 step += 1
                 moved += step
@@ -63,7 +63,7 @@ def _deform(current, goal):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _simple(near):  # type: ignore[no-untyped-def]
+def simple(near):  # type: ignore[no-untyped-def]
     """Whether the middle of 3 x 3 x 3 voxels is simple."""
     seen = np.zeros((3, 3, 3), dtype=np.bool_)
     stack = np.empty((27, 3), dtype=np.int64)

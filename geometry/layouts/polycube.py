@@ -1,7 +1,8 @@
 """Meccanos of any genus: a polycube with the topology of a solid, and its surface divided as the polycube's boundary.
 
 The voxels come from `voxels`, rough places of corners and edges from `wrapping`, the edges from `routing`; `drawing`
-makes them straight and even. The division is then laid on the polycube's sides as any other (`boundary_map`).
+makes them straight and even. On a surface with creases that is done twice, drawn to these and not, and the cheaper
+division is taken. The division is then laid on the polycube's sides as any other (`boundary_map`).
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ from numpy.typing import NDArray
 
 from geometry.layouts.blocks import polycube
 from geometry.layouts.boundary_map import BoundaryMap, boundary_map
+from geometry.layouts.creases import along_creases, attraction
 from geometry.layouts.drawing import Drawing, layout_of, relax
 from geometry.layouts.frame import frame_of
 from geometry.layouts.layout import Layout, balance, by_labels
+from geometry.layouts.partition import price
 from geometry.layouts.routing import route
 from geometry.layouts.voxels import Voxels, place, voxelise
 from geometry.layouts.wrapping import corner_vertices, wrap
@@ -27,6 +30,8 @@ from iga.progress import QUIET, Progress
 Index = NDArray[np.int64]
 
 PER_SIDE = 200  # triangles at least for each side of the polycube, so that there is room for its edges
+SLENDER = 0.1  # share inside from which on a voxel belongs to a polycube that follows thin limbs
+REACH = 0.6  # voxels' sides that the surface may be away from such a polycube
 
 
 def polycube_layout(
@@ -59,11 +64,34 @@ def polycube_layout(
     if labels is not None:
         return by_labels(surface, blocks, labels), report
     fine, _ = refined(surface, PER_SIDE * len(frame.sides))
-    guides = wrap(fine, frame, place(voxels, frame.places), float(voxels.spacing.mean()))
+    guides = wrap(fine, frame, place(voxels, frame.places), voxels.size)
     corners = corner_vertices(fine, frame, guides)
     drawing = Drawing(frame, fine, corners, route(fine, frame, corners, guides, progress))
     layout = layout_of(relax(drawing, sweeps, progress), blocks)
+    creases = attraction(fine, frame)
+    if creases is not None:
+        layout = _cheaper(layout, along_creases(layout_of(relax(drawing, sweeps, progress, creases), blocks), progress))
     return layout, report | balance(layout)
+
+
+def _cheaper(plain: Layout, creased: Layout) -> Layout:
+    """The division along creases, unless its map is dearer: where only some creases find a border."""
+    try:
+        return min(creased, plain, key=lambda layout: price(boundary_map(layout)[0]))
+    except InputError:
+        return plain
+
+
+def slender_map(surface: Surface, limit: float = 10000.0, progress: Progress = QUIET) -> tuple[
+    BoundaryMap, dict[str, Any]
+]:
+    """The map of a polycube that also follows limbs and wings thinner than its voxels.
+
+    Corners are moved less often than in other polycubes: patches at the ends of limbs would swallow the limbs.
+    """
+    voxels, report = voxelise(surface, progress=progress, fullness=SLENDER, reach=REACH)
+    mapping, quality = polycube_map(surface, voxels, sweeps=2, limit=limit, progress=progress)
+    return mapping, report | quality
 
 
 def polycube_map(

@@ -28,9 +28,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.spatial import cKDTree
 
-from geometry.layouts.isotopy import deforms
-from geometry.simplices.surface import Surface, area_vectors, genus, volume
+from geometry.layouts.isotopy import deforms, simple
+from geometry.simplices.surface import Surface, area_vectors, genus
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 
@@ -53,19 +54,24 @@ class Voxels:
     ----------
     cells : (k, 3) integer positions of the voxels in their grid.
     rotation : (3, 3) the grid's axes as rows.
-    origin : (3,) the corner of voxel 0, 0, 0, along these axes.
-    spacing : (3,) sides of a voxel.
+    planes : where the planes of the grid cross each of these axes, ascending.
     """
 
     cells: Index
     rotation: Array
-    origin: Array
-    spacing: Array
+    planes: tuple[Array, Array, Array]
+
+    @property
+    def size(self) -> float:
+        """Mean side of a voxel."""
+        sides = [np.diff(line)[self.cells[:, d]] for d, line in enumerate(self.planes)]
+        return float(np.mean(sides))
 
 
 def place(voxels: Voxels, corners: Array) -> Array:
     """Points (v, 3) in space of grid points (v, 3)."""
-    return np.asarray((voxels.origin + voxels.spacing * corners) @ voxels.rotation)
+    whole = corners.astype(np.int64)
+    return np.stack([line[whole[:, d]] for d, line in enumerate(voxels.planes)], axis=1) @ voxels.rotation
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,8 @@ def topology(inside: Flags) -> Topology:
 
 
 def voxelise(
-    surface: Surface, resolution: float | None = None, mismatch: float = 0.53, progress: Progress = QUIET
+    surface: Surface, resolution: float | None = None, mismatch: float = 0.53, progress: Progress = QUIET,
+    fullness: float = 0.5, reach: float = np.inf,
 ) -> tuple[Voxels, dict[str, Any]]:
     """Voxels with the topology of the solid inside a surface.
 
@@ -101,27 +108,31 @@ def voxelise(
     ----------
     resolution : voxels along the solid's longest axis; None for the fewest that will do.
     mismatch : volume between voxels and solid, as a share of the solid's, that will do.
+    fullness : share inside from which on a voxel rather belongs to the set; with less than a half, limbs thinner than
+        a voxel are followed.
+    reach : how many voxels' sides the surface may be away from the voxels.
 
     Returns
     -------
-    The voxels and a report: voxels, boundary_sides, resolution and mismatch.
+    The voxels and a report: voxels, boundary_sides, resolution, mismatch and reach.
 
     Raises
     ------
     InputError : no set of voxels has the solid's topology.
     """
-    handles, size = genus(surface), volume(surface)
-    rotation = orientation(surface)
+    handles, rotation = genus(surface), orientation(surface)
     tried = np.arange(COARSEST, FINEST + 0.25, 0.5) if resolution is None else np.array([float(resolution)])
     if not (tried > 0).all() or not (tried <= 4 * FINEST).all():
         raise InputError(f"a resolution is a number of voxels between 0 and {4 * FINEST:g}, not {resolution}")
     best: tuple[float, Voxels, dict[str, Any]] | None = None
     for number in progress.track(tried.tolist(), "voxels"):
-        found = _on_grids(surface, handles, size, rotation, number)
-        if found is not None and (best is None or found[0] < best[0]):
+        found = _on_grids(surface, handles, rotation, number, fullness)
+        if found is None:
+            continue
+        if found[0] <= mismatch and found[2]["reach"] <= reach:
+            return found[1], found[2]
+        if best is None or found[0] < best[0]:
             best = found
-            if found[0] <= mismatch:
-                break
     if best is None:
         where = f"{tried[0]:g} to {tried[-1]:g} voxels" if len(tried) > 1 else f"{tried[0]:g} voxels"
         raise InputError(
@@ -155,8 +166,9 @@ def cuboids(surface: Surface, boxes: Index) -> Voxels:
     for lower, upper in boxes - low:
         inside[tuple(slice(a, b) for a, b in zip(lower, upper, strict=True))] = True
     require_topology(inside, genus(surface))
-    spacing = np.ptp(surface.points, axis=0) / (high - low)
-    return Voxels(np.argwhere(inside), np.eye(3), surface.points.min(axis=0), spacing)
+    ends = zip(surface.points.min(axis=0), surface.points.max(axis=0), high - low + 1, strict=True)
+    x, y, z = (np.linspace(*line) for line in ends)
+    return Voxels(np.argwhere(inside), np.eye(3), (x, y, z))
 
 
 def require_topology(inside: Flags, handles: int) -> None:
@@ -176,7 +188,7 @@ def require_topology(inside: Flags, handles: int) -> None:
 
 
 def _on_grids(
-    surface: Surface, handles: int, size: float, rotation: Array, number: float
+    surface: Surface, handles: int, rotation: Array, number: float, fullness: float
 ) -> tuple[float, Voxels, dict[str, Any]] | None:
     """Mismatch, voxels and report of the best set on grids with so many voxels along the longest axis."""
     points = surface.points @ rotation.T
@@ -188,21 +200,22 @@ def _on_grids(
     found: dict[Any, tuple[float, float, int, Array, Flags]] = {}
     for shift in np.ndindex(2, 2, 2):
         origin = (low + high - spacing * (np.array(shape) - shift)) / 2
-        share = shares(surface, rotation, origin, spacing, shape)
+        share = _lifted(shares(surface, rotation, origin, spacing, shape), fullness)
         for threshold in THRESHOLDS:
             inside = np.zeros(shape, dtype=bool)
             inside[1:-1, 1:-1, 1:-1] = share[1:-1, 1:-1, 1:-1] > threshold
             defects, energy, faces = _relax(inside, share, smooth, handles, SMOOTHING)
             if defects == 0:
                 key = (*shift, inside.tobytes())
-                found[key] = energy + SMOOTHING * faces, energy, faces, origin, inside
-    for _, energy, faces, origin, inside in sorted(found.values(), key=lambda one: one[0]):
+                found[key] = energy + SMOOTHING * faces, energy / share.sum(), faces, origin, inside
+    for _, mismatch, faces, origin, inside in sorted(found.values(), key=lambda one: one[0]):
         if handles == 0 or _lies_like(surface, rotation, origin, spacing, inside):
-            mismatch = energy * spacing**3 / size
             report = {
-                "voxels": int(inside.sum()), "boundary_sides": int(faces), "resolution": number, "mismatch": mismatch,
+                "voxels": int(inside.sum()), "boundary_sides": int(faces), "resolution": number,
+                "mismatch": float(mismatch), "reach": _reach((points - origin) / spacing, inside),
             }
-            return mismatch, Voxels(np.argwhere(inside), rotation, origin, np.full(3, spacing)), report
+            x, y, z = (start + spacing * np.arange(n + 1) for start, n in zip(origin, shape, strict=True))
+            return mismatch, Voxels(np.argwhere(inside), rotation, (x, y, z)), report
     return None
 
 
@@ -212,6 +225,17 @@ def _lies_like(surface: Surface, rotation: Array, origin: Array, spacing: float,
     shape = (inside.shape[0] * times, inside.shape[1] * times, inside.shape[2] * times)
     solid = shares(surface, rotation, origin, spacing / times, shape) > 0.5
     return deforms(solid, np.kron(inside, np.ones((times, times, times), dtype=bool)))
+
+
+def _reach(points: Array, inside: Flags) -> float:
+    """Largest distance, along an axis, of points (v, 3) in units of voxels from a set of voxels."""
+    middles = cKDTree(np.argwhere(inside) + 0.5)
+    return max(0.0, float(middles.query(points, p=np.inf)[0].max()) - 0.5)
+
+
+def _lifted(share: Array, fullness: float) -> Array:
+    """Shares enlarged so that ``fullness`` counts as a half, and twice as much as all."""
+    return np.asarray(np.minimum(share / (2.0 * fullness), 1.0))
 
 
 def orientation(surface: Surface, trials: int = 400, seed: int = 7) -> Array:
@@ -374,6 +398,25 @@ def _defects(inside, smooth, genus):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _keeps(inside, smooth, i, j, k):  # type: ignore[no-untyped-def]
+    """Whether the set stays what it is, as a shape, when a voxel joins or leaves it."""
+    if not simple(inside[i - 1 : i + 2, j - 1 : j + 2, k - 1 : k + 2]):
+        return False
+    inside[i, j, k] = not inside[i, j, k]
+    kept = True
+    for a in range(i - 1, i + 1):
+        for b in range(j - 1, j + 1):
+            for c in range(k - 1, k + 1):
+                pattern = 0
+                for v in range(8):
+                    if inside[a + (v >> 2), b + (v >> 1 & 1), c + (v & 1)]:
+                        pattern |= 1 << v
+                kept &= smooth[pattern]
+    inside[i, j, k] = not inside[i, j, k]
+    return kept
+
+
+@njit(cache=True)
 def _relax(inside, share, smooth, genus, weight):  # type: ignore[no-untyped-def]
     """Mend the topology of the set in place by single voxels, then lower its energy.
 
@@ -399,12 +442,13 @@ def _relax(inside, share, smooth, genus, weight):  # type: ignore[no-untyped-def
                     change = (2.0 * share[i, j, k] - 1.0) * (1.0 if here else -1.0) + weight * (2.0 * alike - 6.0)
                     if defects == 0 and change >= min(best, -1e-9):
                         continue
-                    inside[i, j, k] = not here
-                    now = _defects(inside, smooth, genus)
-                    inside[i, j, k] = here
                     if defects == 0:
-                        better = now == 0
+                        now = 0
+                        better = _keeps(inside, smooth, i, j, k)
                     else:
+                        inside[i, j, k] = not here
+                        now = _defects(inside, smooth, genus)
+                        inside[i, j, k] = here
                         better = now < best_defects or (now < defects and now == best_defects and change < best)
                     if better:
                         best, best_defects, where = change, now, (i, j, k)

@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from geometry.layouts.blocks import pillowed
 from geometry.layouts.boundary_map import BoundaryMap, boundary_map, carried, on_surface
 from geometry.layouts.partition import partition, price
-from geometry.layouts.polycube import polycube_map
+from geometry.layouts.polycube import polycube_map, slender_map
 from geometry.layouts.voxels import cuboids
 from geometry.meccano.adaptation import Measure
 from geometry.meccano.domain import build_domain, refine_domain
@@ -193,11 +193,15 @@ def map_of(surface: Surface, settings: Settings, shown: Progress) -> tuple[Bound
 
 
 def _cheaper(surface: Surface, settings: Settings, shown: Progress) -> tuple[BoundaryMap, dict[str, Any]]:
-    """The map of a surface of genus 0 onto a cube, or, where that is dear (`partition.price`), onto a polycube."""
+    """The map of a surface of genus 0 onto a cube, or, where that is dear (`partition.price`), onto a polycube.
+
+    A polycube that follows thin limbs is tried first, because limbs are what makes the cube dear.
+    """
     found: list[tuple[BoundaryMap, dict[str, Any]]] = []
     reasons: list[str] = []
     for make in (
         lambda: boundary_map(partition(surface, progress=shown), settings.stretch, shown),
+        lambda: slender_map(surface, settings.stretch, shown),
         lambda: polycube_map(surface, limit=settings.stretch, progress=shown),
     ):
         try:
@@ -207,7 +211,7 @@ def _cheaper(surface: Surface, settings: Settings, shown: Progress) -> tuple[Bou
         if found and price(found[-1][0]) < DEAR:
             break
     if not found:
-        raise InputError(f"the surface is laid neither on a cube ({reasons[0]}) nor on a polycube ({reasons[1]})")
+        raise InputError(f"the surface is laid neither on a cube ({reasons[0]}) nor on a polycube ({reasons[-1]})")
     prices = [price(mapping) for mapping, _ in found]
     mapping, report = found[int(np.argmin(prices))]
     kind = "cube" if len(mapping.blocks.corners) == 1 else "polycube"

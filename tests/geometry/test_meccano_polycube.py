@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 
 from geometry.layouts.blocks import Blocks, polycube
 from geometry.layouts.boundary_map import on_surface
+from geometry.layouts.creases import attraction
 from geometry.layouts.frame import frame_of
 from geometry.layouts.isotopy import deforms
 from geometry.layouts.layout import borders, check, round_corners
-from geometry.layouts.partition import partition
-from geometry.layouts.polycube import polycube_layout, polycube_map
-from geometry.layouts.voxels import cuboids, orientation, shares, topology, voxelise
+from geometry.layouts.partition import partition, price
+from geometry.layouts.polycube import REACH, SLENDER, polycube_layout, polycube_map, slender_map
+from geometry.layouts.voxels import cuboids, orientation, place, shares, topology, voxelise
 from geometry.meccano import source
 from geometry.meccano.settings import parse
 from geometry.meccano.shapes import ball
@@ -25,7 +26,7 @@ from geometry.meccano.source import map_of
 from geometry.simplices.mean_value import flipped
 from geometry.simplices.overlay import Curve, join, overlay, split, spread
 from geometry.simplices.reading import read_surface
-from geometry.simplices.surface import Surface, area_vectors, euler_characteristic, genus, volume
+from geometry.simplices.surface import Surface, area_vectors, euler_characteristic, genus, sharp, volume
 from iga.cells import HEXAHEDRON
 from iga.errors import InputError
 from iga.progress import QUIET
@@ -291,6 +292,57 @@ def boundary_of(blocks: Blocks, n: int) -> tuple[Surface, np.ndarray]:
     return Surface(distinct, number.ravel()[every]), np.repeat(np.arange(len(corners)), len(triangles))
 
 
+def body(cells: list[tuple[int, int, int]], *planes: list[float]) -> Surface:
+    """The boundary of voxels of a grid with planes anywhere."""
+    blocks = polycube(np.array(cells))
+    places = np.stack([np.array(line)[blocks.places[:, d].astype(int)] for d, line in enumerate(planes)], axis=1)
+    return boundary_of(Blocks(blocks.corners, places), 2)[0]
+
+
+LEGS = [(i, j, 1) for i in range(3) for j in range(3)] + [(i, j, 0) for i in (0, 2) for j in (0, 2)]
+WINGS = [(i, 1, k) for i in range(3) for k in range(3)] + [(1, j, 1) for j in (0, 2)]
+
+
+@pytest.mark.parametrize("surface", [
+    body(LEGS, [0, 0.5, 3.5, 4], [0, 0.5, 1.5, 2], [0, 2.5, 4]),
+    body(WINGS, [0, 1, 2, 4], [0, 2, 2.6, 4.6], [0, 0.25, 0.4, 0.65]),
+], ids=["legs", "wings"])
+def test_thin_limbs_are_left_out_or_followed(surface: Surface) -> None:
+    _, plain = voxelise(surface)
+    voxels, slender = voxelise(surface, fullness=SLENDER, reach=REACH)
+    assert plain["reach"] > 1.0
+    assert slender["reach"] <= REACH
+    # The same by another way: distances from points of the surface to the nearest voxel, in space.
+    middles = place(voxels, voxels.cells) + 0.5 * voxels.size * voxels.rotation.sum(axis=0)
+    away = np.abs((surface.points[:, None] - middles) @ voxels.rotation.T).max(axis=2).min(axis=1)
+    assert abs(away.max() / voxels.size - 0.5 - slender["reach"]) < 1e-9
+    assert frame_of(polycube(voxels.cells)).genus == 0
+
+
+@pytest.mark.long
+def test_a_polycube_that_follows_limbs_has_the_better_map() -> None:
+    surface = body(LEGS, [0, 0.5, 3.5, 4], [0, 0.5, 1.5, 2], [0, 2.5, 4])
+    mapping, report = slender_map(surface, 10.0)
+    plain, other = polycube_map(surface, limit=10.0)
+    assert len(flipped(mapping.parameters)) == 0
+    assert price(mapping) < price(plain)
+    assert report["area_stretch"][1] < other["area_stretch"][1]
+
+
+def test_borders_of_a_polycube_follow_creases() -> None:
+    surface = body([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [0, 1.1, 2], [0, 0.9, 2], [0, 1.0])
+    layout, _ = polycube_layout(surface, sweeps=4)
+    check(layout)
+    cut = layout.surface
+    creases = cut.edges[sharp(cut)]
+    length = np.linalg.norm(cut.points[creases[:, 1]] - cut.points[creases[:, 0]], axis=1)
+    across = layout.side[cut.beside[sharp(cut)]]
+    assert abs(length.sum() / (8 + 8 + 6) - 1) < 1e-9
+    assert length[across[:, 0] == across[:, 1]].sum() < 1e-9
+    # A surface without creases has nothing that attracts.
+    assert attraction(torus(), frame_of(layout.blocks)) is None
+
+
 def test_a_polycube_and_its_surface_map_may_be_given() -> None:
     blocks = polycube(cuboids(torus(), RING).cells)
     surface, labels = boundary_of(blocks, 3)
@@ -339,8 +391,12 @@ def test_a_dear_cube_is_compared_with_a_polycube(monkeypatch):
     monkeypatch.setattr(source, "partition", lambda *a, **k: None)
     monkeypatch.setattr(source, "boundary_map", lambda *a, **k: (_stub("cube"), {}))
     monkeypatch.setattr(source, "polycube_map", lambda *a, **k: (_stub("polycube"), {}))
+    monkeypatch.setattr(source, "slender_map", lambda *a, **k: (_stub("slender"), {}))
     monkeypatch.setattr(source, "price", lambda mapping: prices[mapping.kind])
     surface = ball(4)
+    prices["slender"] = 0.1
+    assert map_of(surface, parse({}), QUIET)[1] == {"meccano": "polycube", "price": 0.1}
+    prices["slender"] = 0.7
     assert map_of(surface, parse({}), QUIET)[1] == {"meccano": "polycube", "price": 0.2}
     prices["polycube"] = 0.6
     assert map_of(surface, parse({}), QUIET)[1] == {"meccano": "cube", "price": 0.5}
@@ -353,6 +409,8 @@ def test_a_dear_cube_is_compared_with_a_polycube(monkeypatch):
     monkeypatch.setattr(source, "partition", refuse)
     assert map_of(surface, parse({}), QUIET)[1]["meccano"] == "polycube"
     monkeypatch.setattr(source, "polycube_map", refuse)
+    assert map_of(surface, parse({}), QUIET)[1] == {"meccano": "polycube", "price": 0.7}
+    monkeypatch.setattr(source, "slender_map", refuse)
     with pytest.raises(InputError, match="neither on a cube"):
         map_of(surface, parse({}), QUIET)
 
