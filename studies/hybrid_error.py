@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from geometry.cad.brep import surface_points
 from geometry.hybrid import shapes
-from geometry.hybrid.hbrep import polynomial_surface, triangle_error
+from geometry.hybrid.band_errors import triangle_error
+from geometry.hybrid.hbrep import polynomial_surface
 from geometry.hybrid.trimming import Trimming, hermite, refined, trim_face
 from geometry.patch import Patch
 from iga.progress import Progress

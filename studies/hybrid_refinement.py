@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from geometry.cad.brep import surface_points
 from geometry.hybrid import shapes
-from geometry.hybrid.hbrep import HybridFace, band_error, hybrid_face, refine_hybrid, refined_surface
+from geometry.hybrid.band_errors import band_error
+from geometry.hybrid.hbrep import HybridFace, hybrid_face, refine_hybrid, refined_surface
 from geometry.hybrid.triangle import Psi, triangle_map
 from geometry.hybrid.trimming import cut_at_knots, trim_face
 from iga.block import bezier_coefficients

@@ -91,7 +91,7 @@ def make_band(trimming: Trimming, knots: tuple[Array, Array], depth: float = 0.2
         legs = _legs(trimming, lines, depth, shrink)
         which, at = _unequal(trimming, legs, where)
         if len(which):
-            trimming, shrink = _cut(trimming, which, at, shrink, lines)
+            trimming, shrink = _cut(trimming, which, at, shrink)
             continue
         band = _fill(trimming, legs, lines, depth, shrink, where)
         phi = make_phi(band.q0, oriented(band))
@@ -102,17 +102,14 @@ def make_band(trimming: Trimming, knots: tuple[Array, Array], depth: float = 0.2
             if len(bad) == 0 and len(flat) == 0:
                 return band
         bad = np.unique(bad)
-        trimming, shrink = _cut(trimming, bad, np.full(len(bad), 0.5), shrink, lines)
+        trimming, shrink = _cut(trimming, bad, np.full(len(bad), 0.5), shrink)
         if len(trimming.next) > 20_000:
             break
     raise InputError(f"{where}: its trimming curves meet, or are so close that no band fits between them")
 
 
-def _cut(
-    trimming: Trimming, which: Index, at: Array, shrink: Array, lines: tuple[Array, ...]
-) -> tuple[Trimming, Array]:
-    inherited = np.concatenate([shrink, shrink[which]])
-    return split_segments(trimming, which, at), inherited
+def _cut(trimming: Trimming, which: Index, at: Array, shrink: Array) -> tuple[Trimming, Array]:
+    return split_segments(trimming, which, at), np.concatenate([shrink, shrink[which]])
 
 
 def oriented(band: Band) -> Array:
@@ -127,7 +124,7 @@ def _legs(trimming: Trimming, lines: tuple[Array, ...], depth: float, shrink: Ar
     reach = np.array([FLAT * (x[-1] - x[0]) for x in lines])
     small = np.ptp(trimming.plane, axis=1) <= 100 * reach
     flat = small.any(axis=1)
-    if (small.all(axis=1)).any():
+    if small.all(axis=1).any():
         raise InputError("a trimming curve has a segment without length")
     sign = np.sign(step)
     same = sign[:, 0] * sign[:, 1] > 0  # then q0 = (xi of start, eta of end)
@@ -140,15 +137,14 @@ def _legs(trimming: Trimming, lines: tuple[Array, ...], depth: float, shrink: Ar
         normal = np.zeros(2)
         normal[1 - d] = sign[s, d] if d == 0 else -sign[s, d]
         way[s] = normal
-        length[s] = shrink[s] * _reach(0.5 * (start[s] + end[s]), normal, lines, depth)
+        length[s] = shrink[s] * reach_of(0.5 * (start[s] + end[s]), normal, lines, depth)
     return _Legs(way, length, flat, q0)
 
 
-def _reach(p: Array, way: Array, lines: tuple[Array, ...], depth: float) -> float:
+def reach_of(p: Array, way: Array, lines: tuple[Array, ...], depth: float) -> float:
     """``depth`` of the knot interval, or all there is to the next knot line, from p along a parameter direction."""
     d = int(np.argmax(np.abs(way)))
-    x = lines[d]
-    forward = way[d] > 0
+    x, forward = lines[d], way[d] > 0
     tiny = 10 * FLAT * (x[-1] - x[0])
     ahead = x[x > p[d] + tiny] if forward else x[x < p[d] - tiny]
     if len(ahead) == 0:
@@ -160,12 +156,11 @@ def _reach(p: Array, way: Array, lines: tuple[Array, ...], depth: float) -> floa
 
 def _quarter(a: Array, b: Array) -> int:
     """Right angles from direction a counter-clockwise to b."""
-    names = {(1, 0): 0, (0, 1): 1, (-1, 0): 2, (0, -1): 3}
-    x, y = (names[int(v[0]), int(v[1])] for v in (a, b))
-    return (y - x) % 4
+    return round(float(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b)) / (0.5 * np.pi)) % 4
 
 
-def _tangent(control: Array, at_end: bool) -> Array:
+def tangent(control: Array, at_end: bool) -> Array:
+    """Unit tangent of a segment away from its start, or from its end."""
     points = control[::-1] if at_end else control
     for k in (1, 2, 3):
         step = points[k] - points[0]
@@ -174,11 +169,18 @@ def _tangent(control: Array, at_end: bool) -> Array:
     return np.array([1.0, 0.0])
 
 
-def _sector(trimming: Trimming, legs: _Legs, s: int, where: str) -> int:
-    """Right angles between the legs at the vertex where segment s ends, on the inside; -1 at a corner of two lines."""
-    t = int(trimming.next[s])
-    first, second = legs.way[t, 0], legs.way[s, 1]
-    out, back = _tangent(trimming.plane[t], False), _tangent(trimming.plane[s], True)
+def right_angles(first: Array, second: Array, out: Array, back: Array) -> int | None:
+    """Right angles on the inside of a vertex between the legs of the segments before and after it.
+
+    Parameters
+    ----------
+    first, second : directions of the leg of the segment that leaves, and of the one that arrives.
+    out, back : tangents of these segments away from the vertex.
+
+    Returns
+    -------
+    0 to 3, -1 where the legs have passed each other by a right angle, None where no parameter line lies between.
+    """
     inside = np.arctan2(out[0] * back[1] - out[1] * back[0], out @ back) % (2 * np.pi)
     if inside < 1e-6:
         inside = 2 * np.pi
@@ -186,11 +188,19 @@ def _sector(trimming: Trimming, legs: _Legs, s: int, where: str) -> int:
     def turn(a: Array, b: Array) -> float:
         return float(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b))
 
-    gap = (inside - max(turn(out, first), 0.0) - max(turn(second, back), 0.0)) / (0.5 * np.pi)
-    k = round(gap)
-    if k == -1 and legs.flat[s] and legs.flat[t]:
-        return -1
-    if k < 0 or k % 4 != _quarter(first, second) or k > 3:
+    k = round((inside - max(turn(out, first), 0.0) - max(turn(second, back), 0.0)) / (0.5 * np.pi))
+    if k == -1 or (0 <= k <= 3 and k % 4 == _quarter(first, second)):
+        return k
+    return None
+
+
+def _sector(trimming: Trimming, legs: _Legs, s: int, where: str) -> int:
+    """Right angles between the legs at the vertex where segment s ends, on the inside; -1 at a corner of two lines."""
+    t = int(trimming.next[s])
+    k = right_angles(
+        legs.way[t, 0], legs.way[s, 1], tangent(trimming.plane[t], False), tangent(trimming.plane[s], True)
+    )
+    if k is None or (k == -1 and not (legs.flat[s] and legs.flat[t])):
         p = trimming.plane[t, 0]
         raise InputError(
             f"{where}: the corner at (u, v) = ({p[0]:.6g}, {p[1]:.6g}) is so sharp that no parameter line enters it"
@@ -299,7 +309,7 @@ def _fill(
         for _ in range(k - 1):
             way = np.array([-way[1], way[0]])
             # No deeper than the legs are long: a narrow band, and no slivers.
-            deep = min(_reach(p, way, lines, depth), max(legs.length[s, 1], legs.length[t, 0]))
+            deep = min(reach_of(p, way, lines, depth), max(legs.length[s, 1], legs.length[t, 0]))
             spokes.append(way * deep * min(shrink[s], shrink[t]))
         spokes.append(legs.way[s, 1] * legs.length[s, 1])
         for a, b in pairwise(spokes):

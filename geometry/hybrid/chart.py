@@ -115,6 +115,12 @@ def to_parameters(chart: Chart, q: Array) -> Array:
     return _turned(uv) if chart.swapped else uv
 
 
+def lengths_of(chart: Chart) -> Array:
+    """Mean lengths (2,) in space of unit steps of both parameters."""
+    width = chart.width if isinstance(chart.width, float) else float(chart.width(chart.width.x).mean())
+    return np.array([chart.scale, width] if chart.swapped else [width, chart.scale])
+
+
 def widths(chart: Chart, q: Array) -> Array:
     """Values (q,) of w at chart points (q, 2)."""
     return _widths(chart, chart.origin + q[:, 1] / chart.scale)

@@ -10,14 +10,17 @@ Axis letters: n vertex, e element, k side, c corner.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.cad.brep import Brep, Face, curve_points, surface_frame
-from geometry.hybrid.chart import Chart, to_chart, to_parameters
+from geometry.cad.brep import Brep, Face, surface_frame
+from geometry.hybrid.banding import Banding, band_elements, joined
+from geometry.hybrid.chart import Chart, lengths_of, to_chart, to_parameters
 from geometry.hybrid.grid import ALONG, Grid, followed
+from geometry.hybrid.outline import FaceError, Outline, Sides, cut_out, outline_of, regions
 from geometry.hybrid.pieces import Pieces
 from geometry.hybrid.sizing import Sizing, size_at
 from geometry.hybrid.triangulation import triangulate
@@ -26,9 +29,6 @@ from iga.errors import InputError
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-
-Sides = dict[tuple[int, int], tuple[Array, Array]]
-"""Directed sides by their two vertices: the directions in space in which they leave and arrive."""
 
 SMOOTH = 2.3
 """Boundary vertices with a larger angle (radians) inside the face must not be the tip of an ear."""
@@ -48,6 +48,8 @@ class FaceMesh:
     quads : (q, 4) local numbers of the corners (low, low), (high, low), (high, high), (low, high).
     low, high : (q, 2) rectangles of the quadrilaterals in the parameter plane.
     grid : where the quadrilaterals came from, if the face has one; ``kept`` as it was carried out.
+    band : the right triangles, which come first, and the rectangles, which come last, if the face has a band.
+    legs : (l, 2) local numbers of the ends of the right triangles' legs.
     """
 
     chart: Chart
@@ -58,6 +60,8 @@ class FaceMesh:
     low: Array
     high: Array
     grid: Grid | None
+    band: Banding | None = None
+    legs: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
 
     @property
     def outward(self) -> Index:
@@ -65,30 +69,15 @@ class FaceMesh:
         return self.triangles[:, ::-1] if self.chart.face.reversed else self.triangles
 
 
-class FaceError(InputError):
-    """A face that cannot be meshed with the pieces that its edges have."""
-
-    def __init__(self, face: int, message: str):
-        super().__init__(message)
-        self.face = face
-
-
-@dataclass(frozen=True, eq=False)
-class _Outline:
-    """Loops of a face: chart points and parameters (n, 2), vertices of the solid (n,), local numbers, and sides."""
-
-    points: Array
-    uv: Array
-    vertices: Index
-    loops: list[Index]
-    leaving: Sides
-
-
 def mesh_faces(
     brep: Brep, charts: list[Chart], edges: list[Pieces], count: int, sizing: Sizing, grids: dict[int, Grid],
-    where: str,
+    where: str, banded: Collection[int] = (),
 ) -> list[FaceMesh]:  # fmt: skip
     """Meshes of all faces, without interior sides between vertices that are joined elsewhere.
+
+    Parameters
+    ----------
+    banded : faces that get right triangles and rectangles along their trimming curves.
 
     Raises
     ------
@@ -100,7 +89,8 @@ def mesh_faces(
         forced: set[tuple[int, int]] = set()
         grid = grids.get(f)
         for _ in range(6):
-            made = _mesh_face(brep, f, chart, edges, count, sizing, forced, grid, f"{where}: {brep.faces[f].name}")
+            name = f"{where}: {brep.faces[f].name}"
+            made = _mesh_face(brep, f, chart, edges, count, sizing, forced, grid, name, f in banded)
             pairs = interior_pairs(made)
             double = [(a, b) for (a, b), g in pairs.items() if g in taken]
             if not double:
@@ -122,7 +112,7 @@ def _without(made: FaceMesh, double: list[tuple[int, int]]) -> Grid | None:
     wrong = {tuple(sorted(pair)) for pair in double}
     bad = [q for q, own in enumerate(sides.tolist()) if any(tuple(pair) in wrong for pair in own)]
     places = np.argwhere(kept)
-    kept[tuple(places[bad].T)] = False
+    kept[tuple(places[[q for q in bad if q < len(places)]].T)] = False
     return replace(made.grid, kept=kept)
 
 
@@ -136,57 +126,26 @@ def interior_pairs(made: FaceMesh) -> dict[tuple[int, int], tuple[int, int]]:
     return {(a, b): (c, d) for (a, b), (c, d) in zip(inner.tolist(), ends.tolist())}
 
 
-def _outline(brep: Brep, number: int, chart: Chart, edges: list[Pieces], where: str) -> _Outline:
-    points: list[Array] = []
-    parameters: list[Array] = []
-    names: list[Index] = []
-    loops: list[Index] = []
-    leaving: Sides = {}
-    placed = 0
-    for loop in brep.faces[number].loops:
-        control: list[Array] = []
-        for c in loop:
-            if brep.edges[c.edge].degenerate:
-                continue
-            piece = edges[c.edge]
-            t, v = (piece.ends[::-1], piece.vertices[::-1]) if c.reversed else (piece.ends, piece.vertices)
-            uv = curve_points(c.curve, t)
-            parameters.append(uv[:-1])
-            points.append(to_chart(chart, uv[:-1]))
-            names.append(v[:-1])
-            control.append(piece.control[::-1, ::-1] if c.reversed else piece.control)
-        size = sum(map(len, control))
-        if size < 3:
-            raise FaceError(number, f"{where}: a loop of {size} pieces")
-        ring = placed + np.arange(size)
-        for a, b, own in zip(ring.tolist(), np.roll(ring, -1).tolist(), np.concatenate(control)):
-            leaving[a, b] = (own[1] - own[0], own[3] - own[2])
-        loops.append(ring)
-        placed += size
-    return _Outline(np.concatenate(points), np.concatenate(parameters), np.concatenate(names), loops, leaving)
-
-
 def _mesh_face(
     brep: Brep, number: int, chart: Chart, edges: list[Pieces], count: int, sizing: Sizing,
-    forced: set[tuple[int, int]], grid: Grid | None, where: str,
+    forced: set[tuple[int, int]], grid: Grid | None, where: str, banded: bool,
 ) -> FaceMesh:  # fmt: skip
     face = brep.faces[number]
-    outline = _outline(brep, number, chart, edges, where)
+    outline = outline_of(brep, number, chart, edges, where)
     placed = len(outline.points)
-    nodes, extra, uv = np.zeros((0, 4), dtype=np.int64), np.zeros((0, 2)), outline.uv
-    low = high = np.zeros((0, 2))
+    nodes, extra = np.zeros((0, 4), dtype=np.int64), np.zeros((0, 2))
+    corners, band = np.zeros((0, 3), dtype=np.int64), None
     if grid is not None and grid.kept.any():
         grid, nodes, extra = _cells(brep, number, outline, grid)
-        uv = np.concatenate([uv, extra])
-        i, j = np.nonzero(grid.kept)
-        low = np.stack([grid.lines[0][i], grid.lines[1][j]], axis=1)
-        high = np.stack([grid.lines[0][i + 1], grid.lines[1][j + 1]], axis=1)
+    if grid is not None and banded:
+        grid, nodes, extra, corners, band = _banded(brep, number, chart, outline, grid, nodes, extra)
+    uv = np.concatenate([outline.uv, extra])
+    low, high = _rectangles(grid, band)
     points = np.concatenate([outline.points, to_chart(chart, extra)])
-    sides = _cut_out(face, uv, nodes, outline.leaving)
+    sides = cut_out(face, uv, [*corners.tolist(), *nodes.tolist()], outline.leaving)
     middle = outline.points.mean(axis=0)
-    rest, triangles = points, np.zeros((0, 3), dtype=np.int64)
-    made = []
-    for part in _regions(points, sides):
+    rest, made = points, [corners]
+    for part in regions(points, sides):
         used = np.unique(np.concatenate(part))
         loops = [np.searchsorted(used, ring) for ring in part]
         smooth = _smooth(face, uv, part, used, sides)
@@ -202,14 +161,14 @@ def _mesh_face(
         names = np.concatenate([used, len(rest) + np.arange(len(mesh.vertices) - len(used))])
         rest = np.concatenate([rest, mesh.vertices[len(used) :]])
         made.append(names[mesh.triangles])
-    if made:
-        triangles = np.concatenate(made)
+    triangles = np.concatenate(made)
     own = np.concatenate([outline.vertices, count + np.arange(len(rest) - placed)])
     _require_outline(number, outline, triangles, nodes, where)
-    return FaceMesh(chart, rest, own, triangles, nodes, low, high, grid)
+    legs = np.concatenate([corners[:, 1:], corners[:, [2, 0]]])
+    return FaceMesh(chart, rest, own, triangles, nodes, low, high, grid, band, legs)
 
 
-def _require_outline(number: int, outline: _Outline, triangles: Index, quads: Index, where: str) -> None:
+def _require_outline(number: int, outline: Outline, triangles: Index, quads: Index, where: str) -> None:
     """The sides that belong to one element are the pieces of the edges, no more and no less."""
     sides = Counter(
         (a, b) for own in (triangles, quads) for ring in own.tolist() for a, b in zip(ring, [*ring[1:], ring[0]])
@@ -219,23 +178,43 @@ def _require_outline(number: int, outline: _Outline, triangles: Index, quads: In
         raise FaceError(number, f"{where}: its elements do not end at its edges")
 
 
-def _cut_out(face: Face, uv: Array, nodes: Index, leaving: Sides) -> Sides:
-    """Sides of what is left when cells (q, 4) are cut out; sides that cancel vanish."""
-    left = dict(leaving)
-    if not len(nodes):
-        return left
-    _, du, dv = surface_frame(face.surface, uv[nodes.ravel()])
-    way = np.stack([du, dv], axis=1).reshape(-1, 4, 2, 3)
-    for q, own in enumerate(nodes.tolist()):
-        for k in range(4):
-            a, b = own[k], own[(k + 1) % 4]
-            if left.pop((a, b), None) is None:
-                sign = -1.0 if k < 2 else 1.0
-                left[b, a] = (sign * way[q, (k + 1) % 4, k % 2], sign * way[q, k, k % 2])
-    return left
+def _rectangles(grid: Grid | None, band: Banding | None) -> tuple[Array, Array]:
+    """Lowest and highest corners of the cells that are kept, and of the rectangles of a band."""
+    if grid is None:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    i, j = np.nonzero(grid.kept)
+    low = np.stack([grid.lines[0][i], grid.lines[1][j]], axis=1)
+    high = np.stack([grid.lines[0][i + 1], grid.lines[1][j + 1]], axis=1)
+    return (low, high) if band is None else (np.concatenate([low, band.low]), np.concatenate([high, band.high]))
 
 
-def _cells(brep: Brep, number: int, outline: _Outline, grid: Grid) -> tuple[Grid, Index, Array]:
+def _banded(
+    brep: Brep, number: int, chart: Chart, outline: Outline, grid: Grid, nodes: Index, extra: Array
+) -> tuple[Grid, Index, Array, Index, Banding | None]:
+    """Grid, corners of cells and vertices inside the face once there are right triangles (t, 3) and rectangles along
+    the curves; rectangles come last.
+    """
+    face = brep.faces[number]
+    if any(brep.edges[c.edge].degenerate for loop in face.loops for c in loop):
+        return grid, nodes, extra, np.zeros((0, 3), dtype=np.int64), None
+    following = np.concatenate([np.roll(ring, -1) for ring in outline.loops])
+    uv = np.concatenate([outline.uv, extra])
+    band = band_elements(outline.plane, following, grid.lines, uv[nodes[:, [0, 2]]], chart)
+    if band.crowded.any():
+        kept = grid.kept.copy()
+        kept[tuple(np.argwhere(kept)[band.crowded].T)] = False
+        grid, nodes, extra = _cells(brep, number, outline, replace(grid, kept=kept))
+        uv = np.concatenate([outline.uv, extra])
+    ring = np.stack([np.stack([(band.low, band.high)[a][:, 0], (band.low, band.high)[b][:, 1]], axis=1)
+                     for a, b in _AROUND], axis=1)
+    new = np.concatenate([band.corner, ring.reshape(-1, 2)])
+    names, uv = joined(uv, new, lengths_of(chart))
+    t = len(band.segment)
+    corners = np.column_stack([band.segment, following[band.segment], names[:t]])
+    return grid, np.concatenate([nodes, names[t:].reshape(-1, 4)]), uv[len(outline.uv) :], corners, band
+
+
+def _cells(brep: Brep, number: int, outline: Outline, grid: Grid) -> tuple[Grid, Index, Array]:
     """Carry out a grid: corners (q, 4) of its cells, parameters of vertices inside the face; cells that do not fit the
     pieces of the edges are dropped.
     """
@@ -289,61 +268,6 @@ def _covered(face: Face, grid: Grid, reach: list[float]) -> tuple[Mask, Mask]:
             else:
                 along[0][hit, line] = True
     return along
-
-
-def _regions(points: Array, sides: Sides) -> list[list[Index]]:
-    """Loops of the regions on the left of directed sides, each region's outer loop first."""
-    out: dict[int, list[int]] = {}
-    for a, b in sides:
-        out.setdefault(a, []).append(b)
-    left = set(sides)
-    rings = []
-    while left:
-        a, b = min(left)
-        ring = []
-        while (a, b) in left:
-            left.discard((a, b))
-            ring.append(a)
-            a, b = b, _first(points, a, b, out[b])
-        rings.append(np.array(ring))
-    areas = [_area(points[ring]) for ring in rings]
-    outer = [k for k, area in enumerate(areas) if area > 0.0]
-    regions = {k: [rings[k]] for k in outer}
-    for k, area in enumerate(areas):
-        if area <= 0.0:
-            home = [o for o in outer if areas[o] > -area and _holds(points[rings[o]], points[rings[k]])]
-            if home:
-                regions[min(home, key=lambda o: areas[o])].append(rings[k])
-    return list(regions.values())
-
-
-def _first(points: Array, a: int, b: int, choices: list[int]) -> int:
-    """The choice met first when turning clockwise from b's side to a: the region between stays on the left."""
-    if len(choices) == 1:
-        return choices[0]
-    back = points[a] - points[b]
-
-    def turn(c: int) -> float:
-        way = points[c] - points[b]
-        angle = float(np.arctan2(back[1] * way[0] - back[0] * way[1], back @ way))
-        return angle % (2.0 * np.pi)
-
-    return min(choices, key=turn)
-
-
-def _area(ring: Array) -> float:
-    after = np.roll(ring, -1, axis=0)
-    return 0.5 * float(np.sum(ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]))
-
-
-def _holds(ring: Array, other: Array) -> bool:
-    """Whether most sides' middles of another ring lie inside a ring; the two may touch."""
-    p = 0.5 * (other + np.roll(other, -1, axis=0))
-    end = np.roll(ring, -1, axis=0)
-    crossed = (ring[:, 1] > p[:, 1, None]) != (end[:, 1] > p[:, 1, None])
-    rise = np.where(end[:, 1] == ring[:, 1], 1.0, end[:, 1] - ring[:, 1])
-    at = ring[:, 0] + (p[:, 1, None] - ring[:, 1]) / rise * (end[:, 0] - ring[:, 0])
-    return bool(((crossed & (at > p[:, :1])).sum(axis=1) % 2 == 1).mean() > 0.5)
 
 
 def _smooth(

@@ -19,6 +19,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,8 +88,9 @@ def followed(coedge: Coedge, surface: Patch) -> int:
 
 
 def face_lines(
-    brep: Brep, number: int, ends: dict[int, Array], settled: set[int], sizing: Sizing, most: float
-) -> tuple[Array, Array]:
+    brep: Brep, number: int, ends: dict[int, Array], settled: set[int], sizing: Sizing, most: float,
+    cuts: Mapping[int, Array] = MappingProxyType({}),
+) -> tuple[Array, Array]:  # fmt: skip
     """Lines of one face.
 
     Parameters
@@ -96,6 +98,7 @@ def face_lines(
     ends : for each edge the parameters of its pieces' ends.
     settled : edges whose ends count before those of others.
     most : largest cell, in space.
+    cuts : parameters at which edges are cut in any case.
     """
     face = brep.faces[number]
     surface = face.surface
@@ -116,6 +119,8 @@ def face_lines(
                 continue
             firm[d].append(float(c.curve.control[:, d].mean()))
             if not brep.edges[c.edge].degenerate:
+                if c.edge in cuts:
+                    firm[1 - d].extend(curve_points(c.curve, cuts[c.edge])[:, 1 - d].tolist())
                 where = curve_points(c.curve, ends[c.edge])[:, 1 - d]
                 (given if c.edge in settled else loose)[1 - d].extend(where.tolist())
     # Lengths of parameter lines, and wanted sizes, on a raster of the box.
@@ -159,8 +164,9 @@ def _spaced(
 
 
 def agree(
-    brep: Brep, ends: dict[int, Array], sizing: Sizing, cells: Mapping[int, float]
-) -> tuple[dict[int, tuple[Array, Array]], dict[int, Array]]:
+    brep: Brep, ends: dict[int, Array], sizing: Sizing, cells: Mapping[int, float],
+    cuts: Mapping[int, Array] = MappingProxyType({}),
+) -> tuple[dict[int, tuple[Array, Array]], dict[int, Array]]:  # fmt: skip
     """Lines of faces, and the ends of edges' pieces where the lines meet the edges that they cross.
 
     Face by face, the edges that an earlier face has cut count first; what a later face adds is taken over in the next
@@ -170,13 +176,14 @@ def agree(
     ----------
     ends : for each edge the parameters of its pieces' ends, as sizes want them.
     cells : the faces and the largest cell of each.
+    cuts : parameters at which edges are cut in any case.
     """
     lines: dict[int, tuple[Array, Array]] = {}
     for _ in range(PASSES if cells else 0):
         settled: set[int] = set()
         ends = dict(ends)
         for f in _in_order(brep, list(cells)):
-            made = face_lines(brep, f, ends, settled, sizing, cells[f])
+            made = face_lines(brep, f, ends, settled, sizing, cells[f], cuts)
             if len(made[0]) * len(made[1]) > MOST:
                 continue
             lines[f] = made

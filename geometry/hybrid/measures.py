@@ -134,6 +134,14 @@ def _per_face(
             "exact_share": float(area[mine & exact].sum() / total),
             "distance_outside_band": float(distance[mine & ~banded].max(initial=0.0) / brep.diagonal),
         })
+        if made.band is not None:
+            e = np.flatnonzero(mine)  # quadrilaterals first
+            n, t = len(made.quads), len(made.band.segment)
+            banded_area = area[e[n - len(made.band.low) : n]].sum() + area[e[n : n + t]].sum()
+            rows[-1] |= {
+                "right_triangles": t, "rectangles": len(made.band.low), "without_right_triangle": made.band.without,
+                "omega_banded": float(banded_area / total),
+            }  # fmt: skip
         proved = bound[mine & ~np.isnan(bound)]
         if len(proved) and len(proved) == len(made.quads):
             rows[-1]["proved_distance"] = float(proved.max() / brep.diagonal)

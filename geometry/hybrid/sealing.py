@@ -26,7 +26,6 @@ Axis letters: b Bernstein function, i function, e element, c component.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +38,7 @@ from geometry.hybrid.chart import chart_steps, parameter_bends, parameter_steps,
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import BICUBIC, CUBIC, fit_triangles, measure_quads, measure_triangles
+from geometry.hybrid.grid import ALONG
 from geometry.hybrid.hbrep import tensor_rows
 from geometry.hybrid.splining import Splined, on_lines
 from geometry.hybrid.strip import OTHERS, inner_rows, phi_of, side_rows, vertex_rows
@@ -288,10 +288,14 @@ def _face_rows(
 
 
 def _snapped(knots: tuple[Array, ...], uv: Array) -> Array:
-    """Nearest knots to parameters (e, 2) of lines, which are equal to within what makes two lines one."""
-    return np.stack([
-        np.unique(t)[np.abs(uv[:, d, None] - np.unique(t)).argmin(axis=1)] for d, t in enumerate(knots)
-    ], axis=1)  # fmt: skip
+    """Parameters (e, 2), those of knots where they are equal to within what makes two lines one."""
+    result = uv.copy()
+    for d, t in enumerate(knots):
+        x = np.unique(t)
+        nearest = x[np.abs(uv[:, d, None] - x).argmin(axis=1)]
+        on = np.abs(uv[:, d] - nearest) <= 20 * ALONG * np.ptp(x)
+        result[on, d] = nearest[on]
+    return result
 
 
 def _steps(
@@ -307,7 +311,7 @@ def _steps(
     uv = flat.reshape(q.shape)
     ring = np.concatenate([mesh.quads[:, [k, (k + 1) % 4]] for k in range(4)])
     size = len(mesh.points) + 1
-    beside = np.sort(ring, axis=1) @ np.array([size, 1])
+    beside = np.sort(np.concatenate([ring, mesh.legs]), axis=1) @ np.array([size, 1])
     pairs = np.sort(made.curves[:, :2], axis=1) @ np.array([made.vertices, 1])
     _, du, dv = surface_frame(surface, flat)
     J = np.stack([du, dv], axis=-1).reshape(*q.shape[:2], 3, 2)
@@ -362,57 +366,3 @@ def spline_blocks(sealed: Sealed) -> tuple[Space, tuple[Index, ...]]:
             blocks.append(block)
             owners.append(part.owner[mine])
     return Space(tuple(blocks), sealed.M.shape[1]), tuple(owners)
-
-
-def describe(sealed: Sealed, solid: Splined) -> dict[str, Any]:
-    """Numbers of an HB-rep.
-
-    Returns
-    -------
-    ``b_splines``, ``revised``, ``trim`` and ``own``: functions untouched, revised, of the curves, and C0 functions of
-    faces that are no splines; ``unity_error``; ``on_curves``, the largest coefficient of another function in a row of a
-    trimming curve; ``c0_faces``, those without splines, with the reason, by name; ``replaced``, for faces that are not
-    bicubic polynomials the bound of the distance and whether it is proved; ``condition``, the largest of
-    `column_condition`.
-    """
-    M, made = sealed.M, sealed.made
-    band = np.zeros(len(made.points), dtype=bool)
-    for part in made.parts:
-        band[part.block.dofs[part.banded]] = True
-    spline = np.zeros(M.shape[1], dtype=bool)
-    for own in sealed.numbers:
-        if own is not None:
-            spline[own[own >= 0]] = True
-    touched = np.zeros(M.shape[1], dtype=bool)
-    touched[csr_array(M[band]).indices] = True
-    on = csr_array(M[sealed.on_curve])
-    beyond = np.abs(on.data[on.indices >= sealed.trim])
-    names = [face.name for face in solid.brep.faces]
-    c0 = {names[f]: solid.without.get(f, "no quadrilateral fits") for f, s in enumerate(sealed.splines) if s is None}
-    return {
-        "b_splines": int((spline & ~touched).sum()), "revised": int((spline & touched).sum()), "trim": sealed.trim,
-        "own": M.shape[1] - sealed.trim - int(spline.sum()),
-        "unity_error": float(np.abs(M.sum(axis=1) - 1.0).max()), "on_curves": float(beyond.max(initial=0.0)),
-        "c0_faces": c0, "condition": max(column_condition(sealed).values(), default=1.0),
-        "replaced": {
-            names[f]: {"distance": float(solid.apart[f] / solid.brep.diagonal), "proved": bool(solid.proved[f])}
-            for f in np.flatnonzero(solid.apart > 0.0).tolist()
-        },
-    }  # fmt: skip
-
-
-def column_condition(sealed: Sealed) -> dict[int, float]:
-    """For each face with splines the condition of its functions as combinations of Bernstein functions, scaled.
-
-    From the eigenvalues of the Gram matrix, so what is above 1e8 is not told apart.
-    """
-    found = {}
-    for f, own in enumerate(sealed.numbers):
-        if own is None:
-            continue
-        part = csr_array(sealed.M[:, np.unique(own[own >= 0])])
-        G = (part.T @ part).toarray()
-        size = 1.0 / np.sqrt(np.diag(G))
-        values = np.linalg.eigvalsh(size[:, None] * G * size)
-        found[f] = float(np.sqrt(values[-1] / max(values[0], 1e-16 * values[-1])))
-    return found

@@ -29,12 +29,15 @@ from scipy.sparse import csr_array
 from geometry.cad.brep import Brep
 from geometry.hybrid.assembling import assemble
 from geometry.hybrid.chart import make_chart
+from geometry.hybrid.compatible import compatible_cuts, line_cuts, with_cuts, with_missing
 from geometry.hybrid.cusps import refuse_cusps
-from geometry.hybrid.facemesh import FaceError, mesh_faces
+from geometry.hybrid.facemesh import mesh_faces
 from geometry.hybrid.grid import agree, is_flat, kept_share, make_grid
 from geometry.hybrid.measures import measure
+from geometry.hybrid.outline import FaceError
 from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
-from geometry.hybrid.sealing import Sealed, describe, seal, spline_blocks
+from geometry.hybrid.reporting import describe
+from geometry.hybrid.sealing import Sealed, seal, spline_blocks
 from geometry.hybrid.sizing import Sizing, size_edges
 from geometry.hybrid.splining import splined
 from iga.domain import Space
@@ -97,7 +100,7 @@ def build_skin(
     where : name for messages.
     quads : quadrilaterals on curved faces, where they fit; triangles alone otherwise.
     splines : an HB-rep: quadrilaterals on all faces, whose B-splines, revised beside the trimming curves, and trim
-        functions are the functions of the skin (`sealing`), reported by `sealing.describe` as ``hb_rep``.
+        functions are the functions of the skin (`sealing`), reported by `reporting.describe` as ``hb_rep``.
 
     Returns
     -------
@@ -123,7 +126,10 @@ def build_skin(
     if solid is not None:
         flat[:] = False  # their B-splines are revised too
     cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), size * brep.diagonal) if quads or splines else {}
+    cuts = {} if solid is None else compatible_cuts(brep)
+    banded = set() if solid is None else set(cells)
     without: dict[int, str] = {}
+    unbanded: dict[int, str] = {}
     least = least_pieces(brep)
     best: tuple[float, Skin, Sealed | None] | None = None
     stuck = 0
@@ -131,13 +137,17 @@ def build_skin(
         cells = _fitting_cells(brep, divide_edges(brep, sizing, wanted, least, tolerance), sizing, cells)
     for _ in progress.track(range(ROUNDS), "skin"):
         ends = divide_edges(brep, sizing, wanted, least, tolerance)
-        lines, ends = agree(brep, ends, sizing, cells)
+        lines, ends = agree(brep, with_cuts(ends, cuts), sizing, cells, cuts)
+        ends = with_missing(ends, cuts) if solid is None else line_cuts(brep, with_missing(ends, cuts), cuts, lines)
         grids = {f: make_grid(brep, f, own, sizing) for f, own in lines.items()}
         edges, count = cut_edges(brep, ends)
         try:
-            meshes = mesh_faces(brep, charts, edges, count, sizing, grids, where)
+            meshes = mesh_faces(brep, charts, edges, count, sizing, grids, where, banded)
         except FaceError as error:
-            if error.face in cells:
+            if error.face in banded:
+                banded.discard(error.face)  # general triangles along its curves before anything else
+                unbanded[error.face] = str(error)
+            elif error.face in cells:
                 del cells[error.face]  # triangles alone before anything else
                 without[error.face] = str(error)
             else:
@@ -155,6 +165,8 @@ def build_skin(
         made = made if sealed is None else sealed.made
         report, finer = measure(brep, made, meshes, tolerance)
         none = {f: "no cell fits between its curves" for f in cells if not len(meshes[f].quads)}
+        if solid is not None:
+            report["cad_faces_without_band"] = {brep.faces[f].name: why for f, why in sorted(unbanded.items())}
         report["cad_faces_without_quadrilaterals"] = {
             brep.faces[f].name: why for f, why in sorted({**none, **without}.items())
         }

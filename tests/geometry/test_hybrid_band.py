@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from geometry.cad.brep import Coedge, Face, fit_curve, surface_points
 from geometry.hybrid import shapes
 from geometry.hybrid.band import Band
+from geometry.hybrid.band_errors import band_error
 from geometry.hybrid.hbrep import (
     HybridFace,
     assemble_face,
-    band_error,
     hybrid_face,
     polynomial_surface,
     refine_hybrid,

@@ -19,7 +19,8 @@ from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import project
 from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.numbering import numbering, skin_rows
-from geometry.hybrid.sealing import Sealed, column_condition, seal
+from geometry.hybrid.reporting import column_condition
+from geometry.hybrid.sealing import Sealed, seal
 from geometry.hybrid.shell import shell_of
 from geometry.hybrid.splining import Splined, splined
 from geometry.hybrid.subdividing import subdivided

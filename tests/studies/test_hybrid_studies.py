@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geometry.hybrid.hbrep import triangle_error
+from geometry.hybrid.band_errors import triangle_error
 from geometry.hybrid.triangle import CUBIC, make_phi
 from geometry.hybrid.trimming import refined
 from iga.progress import QUIET
