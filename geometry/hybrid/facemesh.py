@@ -2,7 +2,8 @@ r"""Meshes of faces in their charts: quadrilaterals between parameter lines, tri
 
 The kept cells of a face's grid (`grid`) are cut out of it; what is left is bounded by the pieces of the edges and by
 the outline of the cells, and is triangulated (`triangulation`). Sides that an edge and a cell share vanish from that
-boundary, so a face of parameter lines alone needs no triangle.
+boundary, so a face of parameter lines alone needs no triangle. For an HB-rep the right triangles and rectangles along
+the trimming curves (`banding`) are cut out too, and general triangles lie between those and the cells.
 
 Axis letters: n vertex, e element, k side, c corner.
 """

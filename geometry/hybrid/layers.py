@@ -29,9 +29,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array, csr_array, diags_array, vstack
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
+from geometry.hybrid.fairing import fair_displacement
 from geometry.hybrid.field import field_under
 from geometry.hybrid.filling import LIMIT
 from geometry.hybrid.shell import Shell
@@ -53,9 +54,6 @@ Index = NDArray[np.int64]
 BETA = 0.2
 """Relaxation: share of a vertex's shift that the mean of its neighbours' replaces."""
 _TRIES = 3
-RIDGE = 1e-12
-ADJUST = 10.0
-"""Weight of the difference between a face's splines and the curves beside that of a displacement from a linear one."""
 LOWER = 0.7
 """Factor of the depth around elements that are not certified."""
 STUBBORN = 0.4
@@ -180,47 +178,16 @@ def moved(shell: Shell, displacement: Array) -> Shell:
 
 
 def _displacement(shell: Shell, shift: Array) -> Array:
-    """Displacement of control points (n, c) that is nearest to a linear one on each element between shifts (v, c)."""
-    values = [
-        elevation(bernstein(block.basis.cell, 1), block.basis.degree) @ shift[corners]
-        for block, corners in zip(shell.space.blocks, shell.corners)
-    ]
-    return _fit(list(shell.space.blocks), values, shell.space.n, shell.adjust)
-
-
-def _fit(blocks: list[Block], values: list[Array], n: int, adjust: csr_array | None) -> Array:
-    """Coefficients (n, c) whose Bernstein coefficients on the elements are nearest to the given ones (e, b, c).
-
-    ``adjust`` (k, n): further rows that are to vanish, for the most part.
+    """Displacement of control points (n, c) by shifts of the vertices (v, c): linear on each element, or smooth where
+    the skin's functions are smoother than C0 (`fairing`).
     """
-    if all(block.extraction is None for block in blocks):
-        result = np.zeros((n, values[0].shape[2]))
-        for block, own in zip(blocks, values):
-            result[block.dofs] = own
-        return result
-    rows, columns, entries, right, start = [], [], [], [], 0
-    for block, own in zip(blocks, values):
-        C = dense_extraction(block, slice(None))
-        C = np.broadcast_to(np.eye(block.n), (block.elements, block.n, block.n)) if C is None else C
-        e, i, b = np.nonzero(np.abs(C) > 1e-13)
-        rows.append(start + e * C.shape[2] + b)
-        columns.append(block.dofs[e, i])
-        entries.append(C[e, i, b])
-        right.append(own.reshape(-1, own.shape[2]))
-        start += C.shape[0] * C.shape[2]
-    at = (np.concatenate(rows), np.concatenate(columns))
-    A = csr_array(coo_array((np.concatenate(entries), at), shape=(start, n)).tocsr())
-    target = np.concatenate(right)
-    if adjust is not None:
-        A = vstack([A, ADJUST * adjust], format="csr")
-        target = np.concatenate([target, np.zeros((adjust.shape[0], target.shape[1]))])
-    # Normal equations with columns of length one and a step of refinement; what is nearly dependent moves nothing.
-    size = 1.0 / np.sqrt(np.asarray(A.multiply(A).sum(axis=0)))
-    A = csr_array(A @ diags_array(size))
-    solver = splu(csc_array(A.T @ A + RIDGE * diags_array(np.ones(n))))
-    found = solver.solve(A.T @ target)
-    found += solver.solve(A.T @ (target - A @ found))
-    return np.asarray(size[:, None] * found)
+    blocks = shell.space.blocks
+    if any(block.extraction is not None for block in blocks):
+        return fair_displacement(shell, shift)
+    result = np.zeros((shell.space.n, shift.shape[1]))
+    for block, corners in zip(blocks, shell.corners):
+        result[block.dofs] = elevation(bernstein(block.basis.cell, 1), block.basis.degree) @ shift[corners]
+    return result
 
 
 def with_layers(inside: Domain, shell: Shell, displacements: Array, vertices: int) -> Domain:

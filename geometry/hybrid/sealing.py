@@ -14,6 +14,12 @@ so B-splines away from the curves are untouched, the others are revised: they va
 functions alone remain. Rows sum to one, which is the partition of unity. The coefficients are the face's B-spline
 coefficients R and the control points Upsilon of the curves in space: both faces take these, so there is no gap.
 
+The curves are compatible: their pieces lie in one knot interval and are monotone on both sides (`compatible`). Right
+triangles with legs on parameter lines and rectangles in the corners between them lie along the curves (`banding`), and
+general triangles where these do not fit, and between them and whole cells: where the paper cuts the remainder into
+rectangles with hanging nodes, elements here meet edge to edge, because cells stand on them. On all triangles the
+functions follow `strip`, which on right triangles are the rules of a single face (`hbrep`).
+
 Each face's B-splines have the CAD surface's knots, with its continuity, and simple knots (C2) at the other lines of the
 face's grid: the h-refinement of the trimmed B-rep before the HB-rep is built. Weights do not enter: a rational surface,
 or one of a higher degree, is replaced by a bicubic polynomial spline within a share of the tolerance (`splining`), with

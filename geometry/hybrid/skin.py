@@ -51,7 +51,8 @@ ROUNDS = 8
 LITTLE, HALVINGS = 0.25, 2
 """Share of a face kept as quadrilaterals below which its cells are halved, and how often."""
 PATIENCE = 2
-"""Rounds without improvement by a third after which refinement stops: what is left is the file's gap, or a cusp."""
+"""Rounds without improvement by a third after which refinement stops: what is left is the file's gap, or a cusp. One
+more for HB-reps, where cuts of the curves move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +109,9 @@ def build_skin(
     within 1e-12 of the diagonal), ``band_area``, ``watertight_gap``, ``worst_face``, ``volume``, ``volume_error``,
     ``crossings``, ``min_quality``, ``folded``, ``faulty_faces`` if there are any, and
     ``cad_faces_with_quadrilaterals``: for each its knot intervals, areas and distance outside the band, and
-    ``cad_faces_without_quadrilaterals``: for each that is not flat why.
+    ``cad_faces_without_quadrilaterals``: for each that is not flat why. Of an HB-rep, the rows of faces have
+    ``right_triangles``, ``rectangles``, why pieces of curves have no right triangle, and ``omega_banded``, the share of
+    the area that these take; ``cad_faces_without_band`` says which faces have none, and why.
 
     Raises
     ------
@@ -181,7 +184,7 @@ def build_skin(
         stuck = 0 if best is None or badness < 0.7 * best[0] else stuck + 1
         if best is None or badness < best[0]:
             best = (badness, skin, sealed)
-        if len(finer.sizing.points) == 0 or stuck == PATIENCE:
+        if len(finer.sizing.points) == 0 or stuck == PATIENCE + (solid is not None):
             break
         if stuck or best[0] < badness:  # what folds or is cut although elements were made smaller goes without
             dropped = finer.faulty & set(cells)

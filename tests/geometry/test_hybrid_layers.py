@@ -7,12 +7,16 @@ import importlib.util
 import numpy as np
 import pytest
 
+from geometry.hybrid.fairing import fair_displacement, second_differences
 from geometry.hybrid.field import field_under, paths, skeleton
 from geometry.hybrid.layers import complete_with_layers, inner_shell, valid_layers
 from geometry.hybrid.refinement import refine
 from geometry.hybrid.ways import _meet, directions, ways_of
 from geometry.simplices.closest import closest
 from iga.assembly import integral, volume
+from iga.bernstein import bernstein, functions_at, greville
+from iga.block import bezier_coefficients
+from iga.cells import QUADRILATERAL, TRIANGLE
 from iga.certificate import certify
 from iga.domain import check, counts
 from iga.errors import InputError
@@ -168,3 +172,34 @@ def test_boundary_names(layered):
     assert set(layered.boundaries) == set(SIDES)
     facets = [sum(len(f.elements) for f in own) for own in layered.boundaries.values()]
     assert facets == [4, 4, 8, 4, 8, 4]
+
+
+def test_displacements_of_splines_are_smooth():
+    """Through the shifts of the vertices, exact for affine ones; with less bending than a piecewise linear one."""
+    skin = spline_box(3, 3, warp=bend)
+    random = np.random.default_rng(5)
+    matrix, at = random.standard_normal((3, 3)), skin.vertices
+    found = fair_displacement(skin, at @ matrix)
+    moved_to = bezier_corners(skin, found)
+    assert np.abs(moved_to - at @ matrix).max() < 0.02 * np.abs(at @ matrix).max()
+    wave = np.sin(3.0 * at[:, :1]) * np.ones(3)
+    assert np.abs(bezier_corners(skin, fair_displacement(skin, wave)) - wave).max() < 0.05
+
+
+def bezier_corners(skin, coefficients):
+    """Values of a field at the vertices."""
+    result = np.zeros((len(skin.vertices), coefficients.shape[1]))
+    for block, corners in zip(skin.space.blocks, skin.corners):
+        own = functions_at(block.basis, block.basis.cell.vertices)
+        result[corners] = bezier_coefficients(block, coefficients)[:, own]
+    return result
+
+
+def test_second_differences_vanish_on_linear_functions_alone():
+    for cell in (QUADRILATERAL, TRIANGLE):
+        basis = bernstein(cell, 3)
+        D = second_differences(basis)
+        points = greville(basis)
+        assert np.abs(D @ points).max() < 1e-14
+        assert np.abs(D.sum(axis=1)).max() < 1e-14
+        assert np.linalg.matrix_rank(D) == basis.n - 3

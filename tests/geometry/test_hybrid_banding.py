@@ -1,0 +1,173 @@
+"""Bands on the faces of solids: compatible cuts, right triangles and rectangles, and what takes their place."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("OCP")
+
+from geometry.cad.brep import Brep, curve_points, curve_tangents
+from geometry.hybrid import shapes
+from geometry.hybrid import skin as skins
+from geometry.hybrid.banding import band_elements, joined
+from geometry.hybrid.chart import make_chart, to_parameters
+from geometry.hybrid.compatible import compatible_cuts, line_cuts, with_cuts, with_missing
+from geometry.hybrid.facemesh import FaceMesh
+from geometry.hybrid.grid import followed
+from geometry.hybrid.sealing import Sealed, seal
+from geometry.hybrid.splining import Splined, splined
+
+Array = NDArray[np.float64]
+
+
+@cache
+def built(name: str = "bracket") -> tuple[skins.Skin, Sealed, Splined, list[FaceMesh]]:
+    """The last round of a skin with what went into it."""
+    kept: list[tuple[Sealed, Splined, list[FaceMesh]]] = []
+
+    def keeping(solid: Splined, meshes: list[FaceMesh], made: object) -> Sealed:
+        kept.append((seal(solid, meshes, made), solid, meshes))  # type: ignore[arg-type]
+        return kept[-1][0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(skins, "seal", keeping)
+        skin = skins.build_skin(shapes.SHAPES[name](), 0.2, 1e-3, splines=True)
+    return skin, *kept[-1]
+
+
+@cache
+def solid(name: str) -> Brep:
+    return splined(shapes.SHAPES[name](), 1e-3).brep
+
+
+@pytest.mark.parametrize(("name", "least"), [("bracket", 4), ("curved_difference", 1)])
+def test_pieces_lie_in_one_knot_interval_and_are_monotone_on_both_sides(name: str, least: int) -> None:
+    brep = solid(name)
+    plain = {e: np.linspace(0.0, 1.0, 6) for e, edge in enumerate(brep.edges) if not edge.degenerate}
+    cuts = compatible_cuts(brep)
+    assert len(cuts) >= least
+    ends = with_missing(with_cuts(plain, cuts), cuts)
+    for e, t in ends.items():
+        assert np.diff(t).min() > 1e-6
+        inner = t[:-1, None] + np.diff(t)[:, None] * np.linspace(0.02, 0.98, 9)
+        for f, k, i in brep.coedges_of[e]:
+            face = brep.faces[f]
+            c = face.loops[k][i]
+            p = curve_points(c.curve, inner.ravel()).reshape(*inner.shape, 2)
+            along = followed(c, face.surface)
+            for d in range(2):
+                if d == along:
+                    continue
+                x = np.unique(face.surface.knots[d])
+                interval = np.searchsorted(x, p[..., d])
+                assert (interval == interval[:, :1]).all()
+                if along < 0:
+                    slope = curve_tangents(c.curve, inner.ravel()).reshape(p.shape)[..., d]
+                    small = 1e-6 * np.abs(slope).max()
+                    assert ((slope > -small).all(axis=1) | (slope < small).all(axis=1)).all()
+
+
+def test_other_ends_give_way_to_cuts() -> None:
+    ends = {0: np.linspace(0.0, 1.0, 5)}
+    made = with_cuts(ends, {0: np.array([0.27, 0.6])})[0]
+    assert np.allclose(made, [0.0, 0.27, 0.5, 0.6, 0.75, 1.0])
+    assert np.array_equal(with_missing({0: made}, {0: np.array([0.27, 0.3])})[0], np.sort([*made, 0.3]))
+
+
+def test_lines_cut_edges_that_follow_no_parameter_line() -> None:
+    brep = solid("curved_difference")
+    ends = {e: np.linspace(0.0, 1.0, 4) for e in range(len(brep.edges))}
+    lines = {f: tuple(np.linspace(x[0], x[-1], 6) for x in face.surface.knots) for f, face in enumerate(brep.faces)}
+    made = line_cuts(brep, ends, {}, lines)  # type: ignore[arg-type]
+    more = [e for e in ends if len(made[e]) > len(ends[e])]
+    assert more
+    for e in ends:
+        uses = [(f, brep.faces[f].loops[k][i]) for f, k, i in brep.coedges_of[e]]
+        if any(followed(c, brep.faces[f].surface) >= 0 for f, c in uses):
+            assert np.array_equal(made[e], ends[e])
+        assert np.diff(made[e]).min() > 0.05
+
+
+def test_bands_have_right_angles_on_parameter_lines() -> None:
+    """Every right triangle has a side on a trimming curve, two on parameter lines, and its corner inside the face."""
+    skin, sealed, _, meshes = built()
+    right = rectangles = 0
+    for mesh in meshes:
+        if mesh.band is None:
+            continue
+        t, r = len(mesh.band.segment), len(mesh.band.low)
+        right += t
+        rectangles += r
+        assert np.array_equal(mesh.low[len(mesh.low) - r :], mesh.band.low)
+        assert len(mesh.legs) == 2 * t
+        uv = to_parameters(mesh.chart, mesh.points)
+        apart = np.abs(uv[mesh.legs[:, 0]] - uv[mesh.legs[:, 1]]) / np.ptp(uv, axis=0)
+        assert (apart.min(axis=1) < 1e-9).all()
+        assert (apart.max(axis=1) > 1e-4).all()
+    assert right > 40
+    assert rectangles > 10
+    rows = [row for row in skin.report["cad_faces_with_quadrilaterals"] if "right_triangles" in row]
+    assert sum(row["right_triangles"] for row in rows) == right
+    assert all(0.0 <= row["omega_banded"] < 1.0 for row in rows)
+    pieces = [row["right_triangles"] + sum(row["without_right_triangle"].values()) for row in rows]
+    assert sum(pieces) == sum(2 for _ in sealed.made.curves)
+    assert not skin.report["cad_faces_without_band"]
+
+
+def disc(radius: float = 0.3, pieces: int = 8) -> tuple[Array, NDArray[np.int64]]:
+    """Outline of the unit square with a round hole, cubic pieces, the inside on the left."""
+    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)], dtype=float)
+    s = np.linspace(0.0, 1.0, 4)[:, None]
+    straight = [a + s * (b - a) for a, b in pairwise(square)]
+    angle = np.linspace(0.0, -2.0 * np.pi, pieces + 1)
+    p = 0.5 + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    way = radius * np.stack([np.sin(angle), -np.cos(angle)], axis=1) * (2.0 * np.pi / pieces) / 3.0
+    hole = [np.stack([p[k], p[k] + way[k], p[k + 1] - way[k + 1], p[k + 1]]) for k in range(pieces)]
+    following = np.concatenate([np.roll(np.arange(4), -1), 4 + np.roll(np.arange(pieces), -1)])
+    return np.stack([*straight, *hole]), following
+
+
+def test_elements_of_a_round_hole() -> None:
+    """Four of eight pieces turn away from their extremum along a leg; the others have triangles with rectangles."""
+    chart = make_chart(solid("curved_box").faces[0])
+    plane, following = disc(pieces=16)
+    lines = (np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    found = band_elements(plane, following, lines, np.zeros((0, 2, 2)), chart)
+    assert found.without == {"flat": 4, "tangent": 8}
+    assert len(found.segment) == 8
+    assert len(found.low) == 4  # between the two triangles of each quarter
+    for s, corner in zip(found.segment, found.corner):
+        ends = plane[s, [0, 3]]
+        assert corner[0] in ends[:, 0]
+        assert corner[1] in ends[:, 1]
+        assert np.linalg.norm(corner - 0.5) > 0.3
+    # A line through a rectangle, or a cell on it, leaves it out.
+    blocked = (np.sort([0.0, 1.0, found.low[0, 0] * 0.5 + found.high[0, 0] * 0.5]), lines[1])
+    assert len(band_elements(plane, following, blocked, np.zeros((0, 2, 2)), chart).low) < 4
+    cell = np.array([(found.low[0] - 0.01, found.high[0] + 0.01)])
+    crowded = band_elements(plane, following, lines, cell, chart)
+    assert crowded.crowded.all() or len(crowded.low) < 4
+
+
+def test_curves_that_come_close_leave_triangles_out() -> None:
+    chart = make_chart(solid("curved_box").faces[0])
+    plane, following = disc(radius=0.49, pieces=16)
+    lines = (np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    found = band_elements(plane, following, lines, np.zeros((0, 2, 2)), chart)
+    for low, high in zip(found.low, found.high):
+        assert (low >= -1e-12).all()
+        assert (high <= 1.0 + 1e-12).all()
+        corners = np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
+        assert (np.linalg.norm(corners - 0.5, axis=1) > 0.49 - 1e-9).all()
+
+
+def test_points_that_are_near_become_one() -> None:
+    points = np.array([(0.0, 0.0), (1.0, 0.0)])
+    names, everything = joined(points, np.array([(1.0, 1e-12), (0.5, 0.5), (0.5, 0.5 + 1e-12)]), np.ones(2))
+    assert names.tolist() == [1, 2, 2]
+    assert len(everything) == 3
