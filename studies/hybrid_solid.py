@@ -4,6 +4,9 @@ Every solid has a skin of quadrilaterals and triangles whose functions are the B
 the trimming curves, and trim functions that neighbouring faces share (`geometry.hybrid.sealing`; Song and Cohen 2019,
 Sections 3 and 5). ``tolerance`` is the wanted distance to the CAD surfaces.
 
+``right`` triangles and ``rectangles`` lie along the curves, ``banded`` is their share of the area: Omega^banded of the
+paper. Other triangles lie where these do not fit and between them and whole cells.
+
 ``untouched`` B-splines act on no element beside a curve, ``revised`` ones do, ``trim`` functions carry the curves;
 ``own`` are C0 functions where a face has no splines (near poles, faces too narrow for a quadrilateral). ``unity`` is
 the largest deviation of their sum from one, ``on_curves`` the largest coefficient of any other function on a trimming
@@ -43,6 +46,9 @@ COLUMNS = (
     Column("tolerance", key=True, format=".0e"),
     Column("quadrilaterals", "int", relative=0.1, absolute=5),
     Column("triangles", "int", relative=0.1, absolute=10),
+    Column("right", "int", relative=0.1, absolute=5),
+    Column("rectangles", "int", relative=0.1, absolute=5),
+    Column("banded", relative=0.1, absolute=0.01, format=".3f"),
     Column("untouched", "int", relative=0.2, absolute=10),
     Column("revised", "int", relative=0.1, absolute=10),
     Column("trim", "int", relative=0.1, absolute=10),
@@ -99,9 +105,13 @@ def run(size: Size, progress: Progress) -> Result:
 
 def _row(name: str, tolerance: float, skin: Skin) -> dict[str, Value]:
     report, told = skin.report, skin.report["hb_rep"]
+    faces = [row for row in report["cad_faces_with_quadrilaterals"] if "right_triangles" in row]
     return {
         "model": name, "tolerance": tolerance, "quadrilaterals": report["quadrilaterals"],
-        "triangles": report["elements"] - report["quadrilaterals"], "untouched": told["b_splines"],
+        "triangles": report["elements"] - report["quadrilaterals"],
+        "right": sum(row["right_triangles"] for row in faces), "rectangles": sum(row["rectangles"] for row in faces),
+        "banded": sum(row["omega_banded"] * row["area"] for row in faces) / report["area"],
+        "untouched": told["b_splines"],
         "revised": told["revised"], "trim": told["trim"], "own": told["own"], "unity": told["unity_error"],
         "on_curves": told["on_curves"], "condition": told["condition"], "exact": report["exact_area_share"],
         "distance": report["max_distance"], "gap": report["watertight_gap"],
