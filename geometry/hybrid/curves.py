@@ -95,7 +95,29 @@ def fit_cubics(
         det = a00 * a11 - a01 * a01
         step = np.stack([(a11 * r0 - a01 * r1) / det, (a00 * r1 - a01 * r0) / det], axis=1)
         lengths = np.clip(lengths + np.clip(step, -0.05, 0.05), 0.2, 0.6)
-    return control, distance
+    return (control, distance) if normals is None else _lifted(control, both, normals, s, t)
+
+
+def _lifted(control: Array, both: CurveFrames, normals: CurvePoints, s: Array, t: Array) -> tuple[Array, Array]:
+    """Pieces whose two inner control points are moved along the normals of the surface, by least squares over the
+    distances at samples (k,) with feet (m, k): tangents at the ends need not be the curve's, because elements meet with
+    C0 only, and a piece across knot lines of the surface comes several times nearer.
+    """
+    table = _cubic(t)
+    n = normals(np.concatenate([s, np.repeat([[1.0 / 3.0, 2.0 / 3.0]], len(s), axis=0)], axis=1))
+    n, inner = n[:, :-2], n[:, -2:]
+    for turn in range(3):
+        b = bezier_points(control, t)
+        x, dx = both(s)
+        s = np.clip(s + np.einsum("mkc,mkc->mk", b - x, dx) / (np.einsum("mkc,mkc->mk", dx, dx) + 1e-300), 0.0, 1.0)
+        r = np.einsum("mkc,mkc->mk", both(s)[0] - b, n)
+        if turn == 2:
+            break
+        rows = table[None, :, 1:3] * np.einsum("mkc,mjc->mkj", n, inner)
+        A = np.einsum("mki,mkj->mij", rows, rows) + 1e-6 * np.eye(2)
+        move = np.linalg.solve(A, np.einsum("mki,mk->mi", rows, r)[..., None])
+        control[:, 1:3] += move * inner
+    return control, np.abs(r).max(axis=1)
 
 
 def _across(r: Array, unit: Array, normal: Array | None) -> Array:

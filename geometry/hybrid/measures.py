@@ -17,6 +17,7 @@ from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import BICUBIC
 from geometry.hybrid.grid import count_intervals
 from geometry.hybrid.sizing import Sizing
+from geometry.hybrid.triangulation import SPLIT
 from geometry.simplices.crossing import crossing_pairs
 from iga.errors import InputError
 from iga.quadrature import gauss
@@ -26,6 +27,10 @@ Index = NDArray[np.int64]
 
 EXACT = 1e-12
 """Distance, relative to the diagonal, within which an element is the CAD surface."""
+AIM, ORDER = 0.5, 1.0 / 3.5
+"""Share of the tolerance that smaller elements are to reach, and how sizes follow distances."""
+HOLD = 0.15
+"""Share of the tolerance from which on elements must not grow."""
 
 _AROUND = {
     3: np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]), 4: np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
@@ -96,9 +101,14 @@ def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: floa
     bad[element[pairs.ravel()]] = True
     if bad.any():
         report["faulty_faces"] = sorted({names[f] for f in owner[bad].tolist()})
-    coarse = distance > tolerance * brep.diagonal
-    shrink = np.where(bad, 0.5, np.clip((tolerance * brep.diagonal / (distance + 1e-300)) ** 0.25, 0.4, 0.6))
-    some = bad | coarse
+    reach = tolerance * brep.diagonal
+    failing = bad | (distance > reach)
+    # What is nearly too far is held at its size, or the next mesh, where it may be larger, is too far there.
+    some = failing | (distance > HOLD * reach)
+    if not failing.any():
+        some[:] = False
+    shrink = np.clip((AIM * reach / (distance + 1e-300)) ** ORDER, 0.4, 1.0) / SPLIT
+    shrink = np.where(bad, 0.5, np.where(failing, np.minimum(shrink, 0.6), shrink))
     longest = np.zeros(len(distance))
     np.maximum.at(longest, element, sides.max(axis=1))
     centre = np.zeros((len(distance), 3))
@@ -108,7 +118,7 @@ def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: floa
     for n, part in enumerate(made.parts):
         if part.block.basis is BICUBIC:
             here = np.arange(start[n], start[n + 1])
-            for e in here[some[here]].tolist():
+            for e in here[failing[here]].tolist():
                 cells[int(owner[e])] = min(cells.get(int(owner[e]), np.inf), float(wanted[e]))
     return report, Finer(Sizing(centre[some], wanted[some]), cells, set(owner[bad].tolist()))
 

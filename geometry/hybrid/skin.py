@@ -6,7 +6,8 @@ their Bezier patches and so the CAD surface itself, and triangles between those 
 get triangles alone, which are as exact. Sides between triangles are cubics fitted to the surface, and inner control
 points are fitted as well (`fitting`). Omega^banded is what touches an edge, and all triangles of a curved face. Where
 the distance to the CAD surface exceeds the tolerance, or the straight skeleton cuts through itself, elements are made
-smaller and the skin is built again.
+smaller and the skin is built again, until neither is so, or there are ``MOST`` elements. Edges that lie off their faces
+are moved to where these meet (`meeting`), so that the tolerances of the file do not stay in the skin.
 
 Rational faces are approximated by polynomials, to the tolerance, because the cells of the volume on the skin are
 polynomial, and so are polynomials of more than degree three. The distance is measured at samples of each element, by
@@ -34,6 +35,7 @@ from geometry.hybrid.cusps import refuse_cusps
 from geometry.hybrid.facemesh import mesh_faces
 from geometry.hybrid.grid import agree, is_flat, kept_share, make_grid
 from geometry.hybrid.measures import measure
+from geometry.hybrid.meeting import edge_distances, met
 from geometry.hybrid.outline import FaceError
 from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
 from geometry.hybrid.reporting import describe
@@ -47,12 +49,13 @@ from iga.progress import QUIET, Progress
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-ROUNDS = 8
+ROUNDS = 12
+MOST = 40_000
+"""Elements of a skin above which it is not refined for its distance any more."""
 LITTLE, HALVINGS = 0.25, 2
 """Share of a face kept as quadrilaterals below which its cells are halved, and how often."""
-PATIENCE = 2
-"""Rounds without improvement by a third after which refinement stops: what is left is the file's gap, or a cusp. One
-more for HB-reps, where cuts of the curves move."""
+PATIENCE = 3
+"""Rounds without improvement by a third after which refinement stops: what is left is the file's gap, or a cusp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +115,8 @@ def build_skin(
     ``cad_faces_without_quadrilaterals``: for each that is not flat why. Of an HB-rep, the rows of faces have
     ``right_triangles``, ``rectangles``, why pieces of curves have no right triangle, and ``omega_banded``, the share of
     the area that these take; ``cad_faces_without_band`` says which faces have none, and why.
+    ``edge_distance_in_file`` and ``edge_distance`` are how far edges lie off their faces, relative to the diagonal, as
+    they come and as they are used.
 
     Raises
     ------
@@ -121,6 +126,8 @@ def build_skin(
         raise InputError(f"{where or brep.name}: size must lie in (0, 1] and tolerance in [1e-10, 0.1]")
     where = where or brep.name or "solid"
     refuse_cusps(brep, where)
+    off = edge_distances(brep)
+    brep = met(brep, off)
     solid = splined(brep, tolerance) if splines else None
     brep = brep if solid is None else solid.brep
     sizing, wanted = size_edges(brep, size)
@@ -184,7 +191,8 @@ def build_skin(
         stuck = 0 if best is None or badness < 0.7 * best[0] else stuck + 1
         if best is None or badness < best[0]:
             best = (badness, skin, sealed)
-        if len(finer.sizing.points) == 0 or stuck == PATIENCE + (solid is not None):
+        many = report["elements"] > MOST and not report["crossings"] + report["folded"]
+        if len(finer.sizing.points) == 0 or stuck == PATIENCE or many:
             break
         if stuck or best[0] < badness:  # what folds or is cut although elements were made smaller goes without
             dropped = finer.faulty & set(cells)
@@ -197,6 +205,9 @@ def build_skin(
     if best is None:
         raise InputError(str(failed))
     _, skin, sealed = best
+    told = {"edge_distance_in_file": float(off.max(initial=0.0)), "edge_distance": float(edge_distances(brep).max())}
+    told = {key: value / brep.diagonal for key, value in told.items()}
+    skin = replace(skin, report={**skin.report, **told})
     if solid is not None and sealed is not None:
         skin = replace(skin, report={**skin.report, "hb_rep": describe(sealed, solid)})
     return skin
