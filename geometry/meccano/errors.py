@@ -6,6 +6,7 @@ Axis letters: f facet, q sample point, k sample of the surface, v vertex, t tria
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,12 +60,13 @@ def errors_of(skin: Skin, points: Array, aim: Array, there: Array, surface: Surf
     count = len(skin.cell)
     nodes, _ = tessellation(skin, points)
     away = closest(surface.points, surface.triangles, nodes)[1].reshape(count, -1).max(axis=1)
-    facet, _, gap = feet(skin, points, np.concatenate([aim, there]))
+    facet, _, gap, _ = feet(skin, points, np.concatenate([aim, there]))
     missed = gap[: len(aim)].reshape(count, -1).max(axis=1)
     np.maximum.at(missed, facet[len(aim) :], gap[len(aim) :])
     return Errors(away, missed)
 
 
+@lru_cache(maxsize=4)
 def surface_samples(surface: Surface, spacing: float) -> tuple[Array, Array]:
     """Points (k, 3) of the surface with at most that spacing, relative to its diagonal, and normals there."""
     points = samples(surface.points, surface.triangles, spacing * surface.diagonal)
@@ -77,17 +79,19 @@ def tessellation(skin: Skin, points: Array) -> tuple[Array, Index]:
     return values_at(skin, _NODES) @ points, (first[:, None, None] + _TRIANGLES).reshape(-1, 3)
 
 
-def feet(skin: Skin, points: Array, queries: Array) -> tuple[Index, Array, Array]:
-    """Facets (k,) and u (k, 2) where the boundary is closest to points (k, 3), and the distances (k,)."""
+def feet(skin: Skin, points: Array, queries: Array) -> tuple[Index, Array, Array, Array]:
+    """Facets (k,), u (k, 2) where the boundary is closest to points (k, 3), distances (k,), unit normals (k, 3)."""
     nodes, triangles = tessellation(skin, points)
     foot, gap, number = closest(nodes, triangles, queries)
     facet, local = np.divmod(number, len(_TRIANGLES))
     corners = nodes[triangles[number]]
     sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    normals = np.cross(sides[:, :, 0], sides[:, :, 1])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     weights = (np.linalg.pinv(sides) @ (foot - corners[:, 0])[:, :, None])[:, :, 0]
     places = _NODES[_TRIANGLES[local]]
     u = places[:, 0] + np.einsum("ks,ksd->kd", weights, places[:, 1:] - places[:, :1])
-    return facet, np.clip(u, 0.0, 1.0), gap
+    return facet, np.clip(u, 0.0, 1.0), gap, normals
 
 
 def unit_normals(surface: Surface) -> Array:

@@ -10,6 +10,7 @@ Axis letters: f facet, q sample point of each facet, n function of the space.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,11 @@ class Skin:
     size: Array
     functions: Index
 
+    @cached_property
+    def _known(self) -> dict[tuple[bytes, tuple[int, int]], csr_array]:
+        """Matrices that `values_at` has made."""
+        return {}
+
 
 def skin_of(space: Hierarchy) -> Skin:
     """All boundary facets of a space."""
@@ -77,7 +83,20 @@ def places_on(skin: Skin, u: Array) -> tuple[Index, Array]:
 
 
 def values_at(skin: Skin, u: Array, order: tuple[int, int] = (0, 0)) -> csr_array:
-    """Matrix (f q, n) that gives a field, or its derivatives along u, at points u (q, 2) of all facets."""
+    """Matrix (f q, n) that gives a field, or its derivatives along u, at points u (q, 2) of all facets; kept."""
+    key = (u.tobytes(), order)
+    if key not in skin._known:
+        skin._known[key] = _values_at(skin, u, order)
+    return skin._known[key]
+
+
+def outward(skin: Skin, points: Array, u: Array) -> Array:
+    """Unit normals (f q, 3) at points u (q, 2) of all facets; zero where a facet is degenerate."""
+    normals = np.cross(values_at(skin, u, (1, 0)) @ points, values_at(skin, u, (0, 1)) @ points)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+
+def _values_at(skin: Skin, u: Array, order: tuple[int, int]) -> csr_array:
     tmesh, count = skin.space.tmesh, len(u)
     side, s = side_coordinates(skin, u)
     block, face = tmesh.blocks.boundary_sides[side].T

@@ -31,7 +31,8 @@ from geometry.meccano.collocation import prolongation
 from geometry.meccano.errors import Errors, errors_of, feet, surface_samples, unit_normals
 from geometry.meccano.fitting import fit_boundary, greville_points
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
-from geometry.meccano.skin import Skin, facet_rule, side_coordinates, skin_of, values_at, values_on
+from geometry.meccano.skin import Skin, side_coordinates, skin_of, values_at, values_on
+from geometry.meccano.springs import SAMPLES, springs_to
 from geometry.meccano.tmesh import refined
 from geometry.simplices.closest import closest
 from geometry.simplices.surface import Surface
@@ -49,9 +50,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Target = Callable[[Index, Array], Array]
-
-_SAMPLES = 5
-_OUTER = facet_rule(_SAMPLES)
 
 _SPACING = 0.01
 """Of the samples of the surface at which errors are measured, in diagonals."""
@@ -127,6 +125,30 @@ def harmonic(space: Hierarchy, points: Array, fixed: Index) -> Array:
     ], axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What all steps need: the surface, where the map puts points of the boundary, samples (k, 3) of the surface."""
+
+    surface: Surface
+    target: Target
+    aims: Aims
+    there: Array
+    shown: Progress
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """A solid, where the map puts samples of its facets (f q, 3), and how far it is off."""
+
+    solid: Solid
+    aim: Array
+    errors: Errors
+
+    def excess(self, aims: Aims) -> float:
+        """What facets are off beyond the tolerance, in all."""
+        return float(np.maximum(self.errors.worst / aims.tolerance - 1.0, 0.0).sum())
+
+
 def solid_of(
     start: Hierarchy, target: Target, surface: Surface, aims: Aims, shown: Progress = QUIET
 ) -> tuple[Solid, list[dict[str, Any]]]:
@@ -140,18 +162,16 @@ def solid_of(
 
     Returns
     -------
-    The solid, and numbers of each round for a report.
+    The solid, and numbers of each round for a report; the last says why growth ended.
     """
     history: list[dict[str, Any]] = []
-    there = surface_samples(surface, _SPACING)[0]
     began = perf_counter()
+    task = _Task(surface, target, aims, surface_samples(surface, _SPACING)[0], shown)
 
-    def measured(solid: Solid, aim: Array) -> Errors:
-        return errors_of(solid.skin, solid.points, aim, there, surface)
-
-    def note(stage: str, solid: Solid, errors: Errors) -> None:
+    def note(stage: str, state: _State) -> None:
+        errors = state.errors
         history.append({
-            "stage": stage, "cells": solid.space.tmesh.cells, "invalid": len(solid.invalid),
+            "stage": stage, "cells": state.solid.space.tmesh.cells, "invalid": len(state.solid.invalid),
             "away": float(errors.away.max()), "missed": float(errors.missed.max()),
             "facets_off": int((errors.worst > aims.tolerance).sum()), "seconds": perf_counter() - began,
         })
@@ -159,70 +179,107 @@ def solid_of(
                             for key, value in history[-1].items()))
 
     solid = _first(start, target, shown)
-    aim = target(*side_coordinates(solid.skin, _OUTER))
+    aim = target(*side_coordinates(solid.skin, SAMPLES))
     for fairness in _FAIRNESS:
         solid = _drawn(solid, aim, fairness, aims, shown)
-    errors = measured(solid, aim)
-    note("drawing", solid, errors)
+    state = _measured(task, solid, aim)
+    note("drawing", state)
     for step in range(aims.rounds + 1):
-        # Soft springs only where they have some way to go.
-        grades = [g for g in (_GRADES if step == 0 else _FINE) if g <= errors.worst.max() / aims.tolerance]
-        for factor in grades or (1.0,):
-            solid = _slid(solid, surface, factor, aims, shown, aim if factor > _LEADING else None)
-        errors, before = measured(solid, aim), np.inf
-        for _ in range(_REPEATS if step == 0 else 1):
-            if not 0.0 < _excess(errors, aims) < _PROGRESS * before:
-                break
-            before = _excess(errors, aims)
-            solid = _slid(solid, surface, 1.0, aims, shown)
-            errors = measured(solid, aim)
-        if len(solid.invalid):
-            solid = _untangled(solid, True, shown)
-            errors = measured(solid, aim)
-        note("sliding", solid, errors)
-        finer = _finer(solid, _marked(solid, errors, aims), aims) if step < aims.rounds else None
-        if finer is None or finer.space.tmesh.cells < _WORTH * solid.space.tmesh.cells:
+        state = _settled(task, state, step == 0)
+        note("sliding", state)
+        marks = _marked(state.solid, state.errors, aims)
+        finer = _finer(state.solid, marks, aims) if step < aims.rounds else None
+        if finer is None:
             break
-        solid = finer
-        aim = target(*side_coordinates(solid.skin, _OUTER))
+        state = _measured(task, finer)
+    if len(marks):
+        state = _slid_on(task, state, 0.0)
     for _ in range(_LATE * aims.slides):
-        solid = _slid(solid, surface, 1.0, aims, shown, free=poor(solid))
-    errors = measured(solid, aim)
-    snapped = _snapped(solid, surface, aim, aims)
-    nearer = measured(snapped, aim)
-    if _excess(nearer, aims) <= _excess(errors, aims):
-        solid, errors = snapped, nearer
-    note("fitting", solid, errors)
-    return solid, history
+        state = _slid(task, state, 1.0, poor(state.solid))
+    snapped = _measured(task, _snapped(state.solid, surface, state.aim, aims), state.aim)
+    if snapped.excess(aims) <= state.excess(aims):
+        state = snapped
+    note("fitting", state)
+    history[-1]["ended"] = (
+        "within the tolerance" if not state.excess(aims) else "rounds spent" if finer is not None else "cells spent"
+    )
+    return state.solid, history
+
+
+def _measured(task: _Task, solid: Solid, aim: Array | None = None) -> _State:
+    aim = task.target(*side_coordinates(solid.skin, SAMPLES)) if aim is None else aim
+    return _State(solid, aim, errors_of(solid.skin, solid.points, aim, task.there, task.surface))
+
+
+def _settled(task: _Task, state: _State, whole: bool) -> _State:
+    """A solid that has slid on its mesh, as a whole or around what is off, until limbs come no farther."""
+    free = np.ones(state.solid.space.space.n, dtype=bool) if whole else None
+    for softness in _GRADES if whole else _FINE:
+        # Soft springs only where there is some way to go.
+        if softness * task.aims.tolerance <= state.errors.worst.max():
+            state = _slid(task, state, softness, free)
+    state = _slid_on(task, _slid(task, state, 1.0, free), _LIMB)
+    if len(state.solid.invalid):
+        state = _measured(task, _untangled(state.solid, True, task.shown), state.aim)
+    return state
+
+
+def _slid_on(task: _Task, state: _State, limit: float) -> _State:
+    """Slide while that lowers what is off, and something is by more than ``limit`` tolerances."""
+    while state.excess(task.aims) and state.errors.worst.max() > limit * task.aims.tolerance:
+        tried = _slid(task, state, 1.0)
+        if tried.excess(task.aims) < state.excess(task.aims):
+            before, state = state, tried
+        if state is not tried or state.excess(task.aims) > _PROGRESS * before.excess(task.aims):
+            break
+    return state
+
+
+def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None) -> _State:
+    """Smooth while free functions slide along the surface, by default those around what is off."""
+    solid, tolerance = state.solid, task.aims.tolerance
+    if free is None:
+        off = np.zeros(solid.space.tmesh.cells, dtype=bool)
+        off[solid.skin.cell[state.errors.worst > tolerance]] = True
+        free = acting(solid, off)
+    led = state.aim if softness > _LEADING else None
+    springs = springs_to(task.surface, solid.skin, tolerance, softness, led, free)
+    found = smooth(
+        solid.domain, free, rounds=_TURNS, iterations=_SLIDE, power=_POWER, tether=springs, repairs=1, shown=task.shown
+    )
+    return _measured(task, replace(solid, points=found.points, invalid=found.invalid), state.aim)
+
+
+def acting(solid: Solid, cells: Mask) -> Mask:
+    """(n,) functions that act on some of the leaf cells (c,)."""
+    mask = np.zeros(solid.space.space.n, dtype=bool)
+    for number, block in enumerate(solid.space.space.blocks):
+        mine = cells & (solid.space.element[:, 0] == number)
+        mask[block.dofs[solid.space.element[mine, 1]]] = True
+    return mask
 
 
 # First solid: rounds of untangling, fairness of the fits that the boundary is drawn to, stiffness of the springs there.
 _TRIES = 8
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _STIFF = (1.0, 10.0, 100.0)
-# Sliding: spacing of samples of the surface in diagonals, give of a spring in tolerances, what distances along the
-# surface count; what the map's own springs count, and down to which softness they lead.
-_SPRINGS = 0.02
-_HOLD = 0.25
-_ALONG = 0.01
-_LED = 0.1
-_LEADING = 2.0
-# Softness of the springs on the first mesh and on finer ones; the last is 1, repeated on the first mesh while it lowers
-# what is off.
+# Softness of springs on the first mesh and on finer ones, before it is 1, and down to which the map leads.
 _GRADES = (8.0, 8.0, 8.0, 4.0, 4.0, 2.0)
 _FINE = (2.0,)
-_REPEATS = 4
+_LEADING = 2.0
+# Sliding goes on while it leaves this share of what is off, on meshes that can be refined while something is off by so
+# many tolerances.
 _PROGRESS = 0.8
+_LIMB = 3.0
 # Of each: rounds, steps of descent, power of the mean ratio. At the end, rounds and scaled Jacobian of poor shapes.
 _TURNS = 2
 _SLIDE = 30
 _POWER = 4.0
 _LATE = 2
 _POOR = 0.6
-# Refinement: facets off by this share of the worst at least, most cells for each cell, fewest that are worth a step.
+# Refinement: facets off by this share of the worst at least, most cells for each cell.
 _SHARE = 0.2
 _GROWTH = 2.2
-_WORTH = 1.1
 
 
 def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
@@ -233,9 +290,9 @@ def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
     skin = skin_of(space)
     block, xi = greville_points(space)
     picture = place(space.tmesh.blocks, block, xi)
-    where = target(*side_coordinates(skin, _OUTER))
-    blob = fit_boundary(skin, picture, _OUTER, where, fairness=100.0)
-    laid = _laid(picture, values_at(skin, _OUTER), where)
+    where = target(*side_coordinates(skin, SAMPLES))
+    blob = fit_boundary(skin, picture, SAMPLES, where, fairness=100.0)
+    laid = _laid(picture, values_at(skin, SAMPLES), where)
     for points in (harmonic(space, blob, skin.functions), laid):
         solid = _untangled(Solid(space, skin, points, np.empty((0, 2), dtype=np.int64)), False, shown)
         if not len(solid.invalid):
@@ -262,7 +319,7 @@ def _laid(points: Array, A: csr_array, where: Array) -> Array:
 def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progress) -> Solid:
     """Draw the boundary towards its fit to ``aim`` with ever stiffer springs, as far as the solid stays valid."""
     skin = solid.skin
-    wanted = fit_boundary(skin, solid.points, _OUTER, aim, fairness=fairness)[skin.functions]
+    wanted = fit_boundary(skin, solid.points, SAMPLES, aim, fairness=fairness)[skin.functions]
     rows, n = len(skin.functions), solid.space.space.n
     pick = csr_array((np.ones(rows), (np.arange(rows), skin.functions)), shape=(rows, n))
     size = sizes_of(solid)[skin.functions]
@@ -273,11 +330,6 @@ def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progres
     goal[skin.functions] = wanted
     made = approach(replace(solid.domain, points=found.points), goal)
     return replace(solid, points=made.points, invalid=made.invalid)
-
-
-def _excess(errors: Errors, aims: Aims) -> float:
-    """What facets are off beyond the tolerance, in all."""
-    return float(np.maximum(errors.worst / aims.tolerance - 1.0, 0.0).sum())
 
 
 def poor(solid: Solid) -> Mask:
@@ -329,57 +381,19 @@ def _refined(solid: Solid, marks: Index, most: int) -> Solid | None:
     return None
 
 
-def _slid(
-    solid: Solid, surface: Surface, factor: float, aims: Aims, shown: Progress, aim: Array | None = None,
-    free: Mask | None = None,
-) -> Solid:
-    """Smooth with the boundary sliding along the surface, and led by the map to ``aim`` if that is given.
-
-    Springs pull samples of the boundary to the surface, and samples of the surface pull the boundary where it is
-    closest to them, which draws limbs out and keeps their tips in place. Springs are as stiff as ``factor`` times the
-    tolerance asks: soft ones carry the boundary far, stiff ones bring it near.
-    """
-    hold = factor * aims.tolerance
-    there, normals = surface_samples(surface, _SPRINGS)
-    A = values_at(solid.skin, _OUTER)
-
-    def springs(points: Array) -> Tether:
-        near, _, triangle = closest(surface.points, surface.triangles, A @ points)
-        facet, u, missed = feet(solid.skin, points, there)
-        B = values_on(solid.skin, facet, u)
-        each = np.bincount(facet, minlength=len(solid.skin.cell))[facet]
-        weights = np.concatenate([np.full(len(near), 1.0 / len(_OUTER)), 1.0 / each]) / (_HOLD * hold) ** 2
-        # What is missed by far, the tip of a limb, pulls towards itself.
-        far, way = missed > hold, there - B @ points
-        own = normals.copy()
-        own[far] = way[far] / np.linalg.norm(way[far], axis=1, keepdims=True)
-        rows, places, across = [A, B], [near, there], [unit_normals(surface)[triangle], own]
-        if aim is not None:
-            rows, places, across = [*rows, A], [*places, aim], [*across, np.zeros_like(aim)]
-            led = _LED / _ALONG / len(_OUTER) / (_HOLD * hold) ** 2
-            weights = np.concatenate([weights, np.full(len(aim), led)])
-        return Tether(csr_array(vstack(rows)), np.concatenate(places), np.concatenate(across), weights, _ALONG)
-
-    free = np.ones(solid.space.space.n, dtype=bool) if free is None else free
-    found = smooth(
-        solid.domain, free, rounds=_TURNS, iterations=_SLIDE, power=_POWER, tether=springs, repairs=1, shown=shown
-    )
-    return replace(solid, points=found.points, invalid=found.invalid)
-
-
 def _snapped(solid: Solid, surface: Surface, aim: Array, aims: Aims) -> Solid:
     """Fit the boundary to the closest points of the surface, and to points of it (k, 3) that it misses."""
-    A = values_at(solid.skin, _OUTER)
+    A = values_at(solid.skin, SAMPLES)
     near, _, triangle = closest(surface.points, surface.triangles, A @ solid.points)
     there = np.concatenate([aim, surface_samples(surface, _SPACING)[0]])
-    facet, u, gap = feet(solid.skin, solid.points, there)
+    facet, u, gap, _ = feet(solid.skin, solid.points, there)
     far = gap > 0.3 * aims.tolerance
     there, B = there[far], csr_array((0, solid.space.space.n))
     if len(there):
         B = values_on(solid.skin, facet[far], u[far])
     way = there - B @ solid.points
     normals = np.concatenate([unit_normals(surface)[triangle], way / np.linalg.norm(way, axis=1, keepdims=True)])
-    weights = np.full(len(near) + int(far.sum()), 1.0 / len(_OUTER))
+    weights = np.full(len(near) + int(far.sum()), 1.0 / len(SAMPLES))
     goal = fit_boundary(
         solid.skin, solid.points, csr_array(vstack([A, B])), np.concatenate([near, there]), normals, along=0.05,
         fairness=1e-4, weights=weights,

@@ -17,8 +17,27 @@ Index = NDArray[np.int64]
 
 def closest(points: Array, triangles: Index, queries: Array) -> tuple[Array, Array, Index]:
     """Closest points (q, 3) of a triangulation to query points (q, 3), their distances (q,) and triangles (q,)."""
+    corners, none = np.ascontiguousarray(points[triangles]), np.empty((0, 3))
+    return _closest(corners, triangle_tree(corners), np.ascontiguousarray(queries), none, none, -1.0)
+
+
+def closest_facing(
+    points: Array, triangles: Index, queries: Array, ways: Array, cosine: float
+) -> tuple[Array, Array, Index]:
+    """As `closest`, among triangles whose normal makes an angle of at least that cosine with the query's unit vector.
+
+    Parameters
+    ----------
+    ways : (q, 3) unit vectors.
+
+    Returns
+    -------
+    Points, distances and triangles; infinite distance and triangle -1 where no triangle faces that way.
+    """
     corners = np.ascontiguousarray(points[triangles])
-    return _closest(corners, triangle_tree(corners), np.ascontiguousarray(queries))
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    return _closest(corners, triangle_tree(corners), np.ascontiguousarray(queries), normals, ways, cosine)
 
 
 @njit(cache=True)
@@ -70,8 +89,11 @@ def _on_triangle(corners: Array, x: Array, y: Array) -> float:
 
 
 @njit(cache=True)
-def _closest(corners: Array, tree: Tree, queries: Array) -> tuple[Array, Array, Index]:
-    count = len(queries)
+def _closest(
+    corners: Array, tree: Tree, queries: Array, normals: Array, ways: Array, cosine: float
+) -> tuple[Array, Array, Index]:
+    """Among all triangles if there are no normals, else among those that face the way of the query."""
+    count, free = len(queries), len(normals) == 0
     points, squares = np.empty((count, 3)), np.full(count, np.inf)
     owner = np.full(count, -1, dtype=np.int64)
     stack, bound = np.empty(128, dtype=np.int64), np.empty(128)
@@ -96,6 +118,12 @@ def _closest(corners: Array, tree: Tree, queries: Array) -> tuple[Array, Array, 
                 continue
             for k in range(tree.begin[node], tree.end[node]):
                 t = tree.order[k]
+                if not free:
+                    along = 0.0
+                    for d in range(3):
+                        along += normals[t, d] * ways[q, d]
+                    if along < cosine:
+                        continue
                 square = _on_triangle(corners[t], x, y)
                 if square < squares[q]:
                     squares[q], owner[q] = square, t

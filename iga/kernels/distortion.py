@@ -51,29 +51,42 @@ def scatter(slope, dofs, gradient):
 
 @numba.njit(**OPTIONS)
 def collect_patterns(values, dofs, C, pattern, net):
-    """net[e] = values[dofs[e]]^T C with C (k, n, b) and pattern (e,)."""
+    """net[e] = values[dofs[e]]^T C with C (k, n, b) and pattern (e,).
+
+    The three coordinates go together, so that each pattern is read once: nearly every element may have its own.
+    """
     for e in range(len(dofs)):
         k = pattern[e]
-        for c in range(values.shape[1]):
+        net[e, :, :] = 0.0
+        x, y, z = net[e, 0], net[e, 1], net[e, 2]
+        for n in range(C.shape[1]):
+            i, row = dofs[e, n], C[k, n]
+            p, q, r = values[i, 0], values[i, 1], values[i, 2]
             for b in range(C.shape[2]):
-                net[e, c, b] = 0.0
-            for n in range(C.shape[1]):
-                v = values[dofs[e, n], c]
+                x[b] += p * row[b]
+                y[b] += q * row[b]
+                z[b] += r * row[b]
+            for c in range(3, values.shape[1]):
                 for b in range(C.shape[2]):
-                    net[e, c, b] += v * C[k, n, b]
+                    net[e, c, b] += values[i, c] * row[b]
 
 
 @numba.njit(**OPTIONS)
 def scatter_patterns(slope, dofs, C, pattern, gradient):
-    """Transpose of `collect_patterns`; adds."""
+    """Transpose of `collect_patterns`, for three coordinates; adds."""
     for e in range(len(dofs)):
         k = pattern[e]
-        for c in range(gradient.shape[1]):
-            for n in range(C.shape[1]):
-                total = 0.0
-                for b in range(C.shape[2]):
-                    total += slope[e, c, b] * C[k, n, b]
-                gradient[dofs[e, n], c] += total
+        x, y, z = slope[e, 0], slope[e, 1], slope[e, 2]
+        for n in range(C.shape[1]):
+            i, row = dofs[e, n], C[k, n]
+            p, q, r = 0.0, 0.0, 0.0
+            for b in range(C.shape[2]):
+                p += x[b] * row[b]
+                q += y[b] * row[b]
+                r += z[b] * row[b]
+            gradient[i, 0] += p
+            gradient[i, 1] += q
+            gradient[i, 2] += r
 
 
 @numba.njit(**OPTIONS)
