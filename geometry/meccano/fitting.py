@@ -21,9 +21,14 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 from scipy.sparse.linalg import LinearOperator, cg
 
+from geometry.layouts.blocks import place
 from geometry.meccano.hierarchical import Hierarchy
 from geometry.meccano.skin import Skin, values_at
+from iga.assembly import matrix
+from iga.domain import Domain
 from iga.errors import InputError
+from iga.integrands import Diffusion
+from iga.linear.solvers import solve
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -99,6 +104,32 @@ def fit_boundary(
     made = points.copy()
     made[free] += solved.reshape(-1, 3)
     return made
+
+
+def harmonic(space: Hierarchy, points: Array, fixed: Index) -> Array:
+    """Control points (n, c) that are harmonic in the picture of the meccano, with those of ``fixed`` functions given.
+
+    Raises
+    ------
+    ConvergenceError : the solver does not reach its tolerance.
+    """
+    block, xi = greville_points(space)
+    picture = Domain(space.space, place(space.tmesh.blocks, block, xi))
+    K = matrix(picture, Diffusion())
+    return np.stack([
+        solve(K, np.zeros(len(points)), (fixed, points[fixed, c]), domain=picture, tolerance=1e-9)[0]
+        for c in range(points.shape[1])
+    ], axis=1)
+
+
+def laid(points: Array, A: csr_array, where: Array) -> Array:
+    """Points (n, 3) moved by the similarity that brings A @ points nearest to places (k, 3) (Umeyama 1991)."""
+    own = A @ points
+    centre, goal = own.mean(axis=0), where.mean(axis=0)
+    u, s, v = np.linalg.svd((where - goal).T @ (own - centre))
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
+    scale = (s * sign).sum() / ((own - centre) ** 2).sum()
+    return np.asarray(goal + scale * (points - centre) @ (u * sign @ v).T)
 
 
 def _bending(skin: Skin) -> csr_array:

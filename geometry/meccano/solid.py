@@ -29,18 +29,15 @@ from scipy.sparse import csr_array, vstack
 from geometry.layouts.blocks import place
 from geometry.meccano.collocation import prolongation
 from geometry.meccano.errors import Errors, errors_of, feet, surface_samples, unit_normals
-from geometry.meccano.fitting import fit_boundary, greville_points
+from geometry.meccano.fitting import fit_boundary, greville_points, harmonic, laid
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.skin import Skin, side_coordinates, skin_of, values_at, values_on
 from geometry.meccano.springs import SAMPLES, springs_to
 from geometry.meccano.tmesh import refined
 from geometry.simplices.closest import closest
 from geometry.simplices.surface import Surface
-from iga.assembly import matrix
 from iga.distortion import own_shapes
 from iga.domain import Domain
-from iga.integrands import Diffusion
-from iga.linear.solvers import solve
 from iga.progress import QUIET, Progress
 from iga.scaled_jacobian import least_of_elements
 from iga.tether import Tether
@@ -109,22 +106,6 @@ class Solid:
         return mask
 
 
-def harmonic(space: Hierarchy, points: Array, fixed: Index) -> Array:
-    """Control points (n, c) that are harmonic in the picture of the meccano, with those of ``fixed`` functions given.
-
-    Raises
-    ------
-    ConvergenceError : the solver does not reach its tolerance.
-    """
-    block, xi = greville_points(space)
-    picture = Domain(space.space, place(space.tmesh.blocks, block, xi))
-    K = matrix(picture, Diffusion())
-    return np.stack([
-        solve(K, np.zeros(len(points)), (fixed, points[fixed, c]), domain=picture, tolerance=1e-9)[0]
-        for c in range(points.shape[1])
-    ], axis=1)
-
-
 @dataclass(frozen=True, eq=False)
 class _Task:
     """What all steps need: the surface, where the map puts points of the boundary, samples (k, 3) of the surface."""
@@ -188,17 +169,11 @@ def solid_of(
         state = _settled(task, state, step == 0)
         note("sliding", state)
         marks = _marked(state.solid, state.errors, aims)
-        finer = _finer(state.solid, marks, aims) if step < aims.rounds else None
-        if finer is None:
+        finer = _finer(state.solid, marks, aims)
+        if finer is None or step == aims.rounds:
             break
         state = _measured(task, finer)
-    if len(marks):
-        state = _slid_on(task, state, 0.0)
-    for _ in range(_LATE * aims.slides):
-        state = _slid(task, state, 1.0, poor(state.solid))
-    snapped = _measured(task, _snapped(state.solid, surface, state.aim, aims), state.aim)
-    if snapped.excess(aims) <= state.excess(aims):
-        state = snapped
+    state = _finished(task, state)
     note("fitting", state)
     history[-1]["ended"] = (
         "within the tolerance" if not state.excess(aims) else "rounds spent" if finer is not None else "cells spent"
@@ -224,10 +199,29 @@ def _settled(task: _Task, state: _State, whole: bool) -> _State:
     return state
 
 
-def _slid_on(task: _Task, state: _State, limit: float) -> _State:
+def _finished(task: _Task, state: _State) -> _State:
+    """A solid on its last mesh: nearer to the surface by stiffer springs and by fitting, and poor shapes smoothed."""
+    aims = task.aims
+    for softness in _LAST:
+        state = _slid_on(task, state, 0.0, softness)
+    if state.excess(aims):
+        snapped = _measured(task, _snapped(state.solid, task.surface, state.aim, aims), state.aim)
+        if snapped.excess(aims) < state.excess(aims):
+            state = snapped
+    for _ in range(aims.slides):
+        bad = poor(state.solid)
+        if bad.any():
+            better = _slid(task, state, _LAST[-1], bad)
+            # Shapes may not cost nearness.
+            if better.excess(aims) <= state.excess(aims):
+                state = better
+    return state
+
+
+def _slid_on(task: _Task, state: _State, limit: float, softness: float = 1.0) -> _State:
     """Slide while that lowers what is off, and something is by more than ``limit`` tolerances."""
     while state.excess(task.aims) and state.errors.worst.max() > limit * task.aims.tolerance:
-        tried = _slid(task, state, 1.0)
+        tried = _slid(task, state, softness)
         if tried.excess(task.aims) < state.excess(task.aims):
             before, state = state, tried
         if state is not tried or state.excess(task.aims) > _PROGRESS * before.excess(task.aims):
@@ -263,20 +257,21 @@ def acting(solid: Solid, cells: Mask) -> Mask:
 _TRIES = 8
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _STIFF = (1.0, 10.0, 100.0)
-# Softness of springs on the first mesh and on finer ones, before it is 1, and down to which the map leads.
+# Softness of springs on the first mesh and on finer ones, before it is 1, on the last one, and down to which the map
+# leads.
 _GRADES = (8.0, 8.0, 8.0, 4.0, 4.0, 2.0)
 _FINE = (2.0,)
+_LAST = (1.0, 0.5)
 _LEADING = 2.0
 # Sliding goes on while it leaves this share of what is off, on meshes that can be refined while something is off by so
 # many tolerances.
 _PROGRESS = 0.8
 _LIMB = 3.0
-# Of each: rounds, steps of descent, power of the mean ratio. At the end, rounds and scaled Jacobian of poor shapes.
+# Of each slide: rounds, steps of descent, power of the mean ratio. At the end, the scaled Jacobian of poor shapes.
 _TURNS = 2
 _SLIDE = 30
 _POWER = 4.0
-_LATE = 2
-_POOR = 0.6
+_POOR = 0.3
 # Refinement: facets off by this share of the worst at least, most cells for each cell.
 _SHARE = 0.2
 _GROWTH = 2.2
@@ -292,8 +287,7 @@ def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
     picture = place(space.tmesh.blocks, block, xi)
     where = target(*side_coordinates(skin, SAMPLES))
     blob = fit_boundary(skin, picture, SAMPLES, where, fairness=100.0)
-    laid = _laid(picture, values_at(skin, SAMPLES), where)
-    for points in (harmonic(space, blob, skin.functions), laid):
+    for points in (harmonic(space, blob, skin.functions), laid(picture, values_at(skin, SAMPLES), where)):
         solid = _untangled(Solid(space, skin, points, np.empty((0, 2), dtype=np.int64)), False, shown)
         if not len(solid.invalid):
             break
@@ -304,16 +298,6 @@ def _untangled(solid: Solid, boundary: bool, shown: Progress) -> Solid:
     """Untangle by inner control points, or by all."""
     found = untangle(solid.domain, solid.inner | boundary, rounds=_TRIES, patience=2, shown=shown)
     return replace(solid, points=found.points, invalid=found.invalid)
-
-
-def _laid(points: Array, A: csr_array, where: Array) -> Array:
-    """Points (n, 3) moved by the similarity that brings A @ points nearest to places (k, 3) (Umeyama 1991)."""
-    own = A @ points
-    centre, goal = own.mean(axis=0), where.mean(axis=0)
-    u, s, v = np.linalg.svd((where - goal).T @ (own - centre))
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
-    scale = (s * sign).sum() / ((own - centre) ** 2).sum()
-    return np.asarray(goal + scale * (points - centre) @ (u * sign @ v).T)
 
 
 def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progress) -> Solid:

@@ -8,10 +8,11 @@ from geometry.layouts.blocks import cube, pillowed
 from geometry.layouts.boundary_map import boundary_map, carried, on_surface
 from geometry.layouts.partition import partition
 from geometry.meccano.errors import Errors
+from geometry.meccano.fitting import laid
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.shapes import ball
 from geometry.meccano.skin import skin_of
-from geometry.meccano.solid import Aims, Solid, _laid, _marked, solid_of
+from geometry.meccano.solid import Aims, Solid, _marked, solid_of
 from geometry.meccano.tmesh import uniform
 from iga.certificate import certify
 from iga.scaled_jacobian import least_of_elements
@@ -33,6 +34,7 @@ def test_a_twisted_map_is_unwound():
     solid, history = solid_of(start, target, surface, Aims(0.01 * surface.diagonal, 60))
     assert not len(solid.uncertified)
     assert (certify(solid.domain).verdict == 1).all()
+    assert history[-1]["ended"] == "within the tolerance"
     assert history[-1]["away"] < 0.01 * surface.diagonal
     assert history[-1]["missed"] < 0.01 * surface.diagonal
     assert least_of_elements(solid.domain).min() > 0.2
@@ -44,7 +46,7 @@ def test_the_picture_is_laid_onto_places_by_a_similarity():
     turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     there = 2.5 * points @ turn.T + np.array([1.0, -2.0, 3.0])
-    np.testing.assert_allclose(_laid(points, np.eye(20), there), there, atol=1e-12)
+    np.testing.assert_allclose(laid(points, np.eye(20), there), there, atol=1e-12)
 
 
 def test_cells_that_are_not_certified_are_named_and_split():
@@ -54,3 +56,20 @@ def test_cells_that_are_not_certified_are_named_and_split():
     assert solid.uncertified.tolist() == [3, 40]
     fine = np.zeros(len(skin.cell))
     assert sorted(_marked(solid, Errors(fine, fine), Aims(1.0, 100)).tolist()) == [3, 40]
+
+
+def test_growth_says_that_cells_are_spent():
+    """Of a ball that a coarse mesh cannot meet: the last steps are kept only where they bring it nearer."""
+    surface = ball(8)
+    mapping = boundary_map(partition(surface))[0]
+    blocks = pillowed(mapping.blocks, 0.25)
+    mapping = carried(mapping, blocks)
+    start = hierarchy(uniform(blocks, 0, 1))
+    solid, history = solid_of(
+        start, lambda side, s: on_surface(mapping, side, s)[0], surface, Aims(2e-3 * surface.diagonal, 7)
+    )
+    sliding, fitting = history[-2:]
+    assert fitting["ended"] == "cells spent"
+    assert 0 < fitting["facets_off"] <= sliding["facets_off"]
+    assert max(fitting["away"], fitting["missed"]) < 1.05 * max(sliding["away"], sliding["missed"])
+    assert (certify(solid.domain).verdict == 1).all()

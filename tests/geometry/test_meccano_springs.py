@@ -1,0 +1,100 @@
+"""Springs between boundaries of solids and surfaces: closest points on sheets that face the same way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geometry.layouts.blocks import cube, pillowed, place
+from geometry.meccano.fitting import greville_points
+from geometry.meccano.hierarchical import hierarchy
+from geometry.meccano.shapes import ball
+from geometry.meccano.skin import outward, skin_of, values_at
+from geometry.meccano.springs import FACING, SAMPLES, springs_to
+from geometry.meccano.tmesh import uniform
+from geometry.simplices.closest import closest, closest_facing
+from geometry.simplices.surface import Surface
+
+
+def horned(n: int, height: float, width: float, angle: float) -> Surface:
+    """A ball with two horns, an angle apart, and a notch between them."""
+    sphere = ball(n)
+    radius = np.ones(len(sphere.points))
+    for sign in (-1.0, 1.0):
+        way = np.array([np.sin(0.5 * sign * angle), 0.0, np.cos(0.5 * angle)])
+        radius += height * np.exp(-((sphere.points - way) ** 2).sum(axis=1) / width**2)
+    return Surface(sphere.points * radius[:, None], sphere.triangles)
+
+
+def test_closest_points_face_the_way_they_should():
+    surface = horned(16, 1.5, 0.3, 0.8)
+    random = np.random.default_rng(5)
+    queries = random.normal(size=(200, 3))
+    ways = random.normal(size=(200, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    corners = surface.points[surface.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    found, gap, triangle = closest_facing(surface.points, surface.triangles, queries, ways, FACING)
+    assert (triangle >= 0).all()
+    assert ((normals[triangle] * ways).sum(axis=1) >= FACING).all()
+    np.testing.assert_allclose(np.linalg.norm(found - queries, axis=1), gap, atol=1e-12)
+    for q in range(0, 200, 20):
+        own = surface.triangles[normals @ ways[q] >= FACING]
+        np.testing.assert_allclose(closest(surface.points, own, queries[q : q + 1])[1], gap[q], atol=1e-12)
+
+
+def test_no_triangle_may_face_that_way():
+    flat = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
+    down = np.array([[0.0, 0.0, -1.0]])
+    _, gap, triangle = closest_facing(flat.points, flat.triangles, np.zeros((1, 3)), down, FACING)
+    assert np.isinf(gap[0])
+    assert triangle[0] == -1
+
+
+def test_normals_of_facets_point_out_of_the_solid():
+    skin, points = _cube()
+    where = values_at(skin, SAMPLES) @ points
+    normals = outward(skin, points, SAMPLES)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
+    axis = np.abs(where).argmax(axis=1)
+    k = np.arange(len(where))
+    np.testing.assert_allclose(normals[k, axis], np.sign(where[k, axis]), atol=1e-12)
+
+
+def test_a_membrane_across_a_notch_is_drawn_to_its_bottom():
+    """Springs of a lid above the notch pull it down; the points of the surface closest to it lie on the horns."""
+    surface = horned(32, 1.5, 0.22, 0.6)
+    skin, points = _cube()
+    points = points * np.array([0.1, 0.1, 0.05]) + np.array([0.0, 0.0, 1.6])
+    lid = np.flatnonzero(outward(skin, points, SAMPLES)[:, 2] > 0.9)
+    centre = lid[np.abs((values_at(skin, SAMPLES) @ points)[lid, :2]).max(axis=1) < 0.03]
+    assert len(centre)
+    tether = springs_to(surface, skin, 1e-3, 1.0)(points)
+    start = (tether.A @ points)[centre]
+    _, _, beside = closest(surface.points, surface.triangles, start)
+    corners = surface.points[surface.triangles[beside]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.abs(normals[:, 2]) < FACING * np.linalg.norm(normals, axis=1)).all()
+    assert (tether.weights[centre] > 0.0).all()
+    assert (tether.normals[centre, 2] > FACING).all()
+    assert (tether.places[centre, 2] < start[:, 2] - 0.1).all()
+
+
+def test_facets_that_cannot_move_have_no_springs():
+    surface = ball(8)
+    skin, points = _cube()
+    free = np.zeros(len(points), dtype=bool)
+    free[skin.functions[:1]] = True
+    whole, part = (springs_to(surface, skin, 0.01, 1.0, free=f)(points) for f in (None, free))
+    moved = np.asarray(whole.A @ free.astype(float)) != 0.0
+    assert 0 < len(part.weights) < len(whole.weights)
+    assert (np.asarray(part.A @ free.astype(float)) != 0.0).sum() == moved.sum()
+
+
+def _cube():
+    """A skin of the straight cube [-1, 1]^3 and its control points."""
+    space = hierarchy(uniform(pillowed(cube()), 1, 1))
+    block, xi = greville_points(space)
+    points = place(space.tmesh.blocks, block, xi)
+    low, high = points.min(axis=0), points.max(axis=0)
+    return skin_of(space), 2.0 * (points - low) / (high - low) - 1.0
