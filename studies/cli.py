@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from iga.errors import ConvergenceError, InputError
+from iga.progress import choosing
 
 Answer = dict[str, Any]
 
@@ -25,7 +26,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
     options = _parser().parse_args(arguments)
     try:
-        answer = options.run(options)
+        with choosing("none" if options.quiet else "auto"):
+            answer = options.run(options)
         status = int(answer.pop("exit", 0))
         if options.json:
             print(json.dumps(_finite(answer), default=_plain, allow_nan=False))
@@ -290,6 +292,7 @@ def _parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         made.add_argument("--json", action="store_true", help="print exactly one JSON object on standard output")
+        made.add_argument("--quiet", action="store_true", help="no progress on standard error")
         made.set_defaults(run=run, show=_show)
         return made
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+import iga.progress
 from iga.errors import InputError
 from iga.exchange.files import replacing, write_text
-from iga.progress import QUIET, Progress, progress
+from iga.progress import QUIET, Progress, choosing, progress
 
 
 def interrupted(path, error):
@@ -40,13 +41,32 @@ def test_missing_folder_is_named(tmp_path):
         write_text(tmp_path, "x")
 
 
-def test_progress_is_silent_away_from_a_terminal(capsys, monkeypatch):
+def test_short_work_is_silent_away_from_a_terminal(capsys, monkeypatch):
     monkeypatch.delenv("IGA_PROGRESS", raising=False)
     assert list(progress().track(range(3), "work")) == [0, 1, 2]
     progress().say("hello")
     assert list(QUIET.track([5], "work")) == [5]
     out = capsys.readouterr()
     assert out.out == out.err == ""
+
+
+def test_long_work_says_its_stage_now_and_then(capsys, monkeypatch):
+    """In a log: one line at most every ten seconds, the first after ten; none where nothing is to be shown."""
+    monkeypatch.delenv("IGA_PROGRESS", raising=False)
+    now = [100.0]
+    monkeypatch.setattr(iga.progress.time, "monotonic", lambda: now[0])
+    shown = progress()
+    for second, message in ((104.0, "early"), (111.0, "reading"), (115.0, "between"), (122.0, "filling")):
+        now[0] = second
+        shown.say(message)
+    for item in shown.track(range(30), "cells"):
+        now[0] = 122.0 + item
+    out = capsys.readouterr()
+    assert out.out == ""
+    assert out.err.splitlines() == ["reading", "filling", "cells: 11/30 (10 s)", "cells: 21/30 (20 s)"]
+    with choosing("none"):
+        assert progress().style == "none"
+    assert progress().style == "lines"
 
 
 @pytest.mark.parametrize("style", ["plain", "bar"])
@@ -64,5 +84,5 @@ def test_progress_by_environment(monkeypatch):
     monkeypatch.setenv("IGA_PROGRESS", "plain")
     assert progress().style == "plain"
     monkeypatch.setenv("IGA_PROGRESS", "loud")
-    with pytest.raises(InputError, match="bar, plain or none"):
+    with pytest.raises(InputError, match="bar, plain, lines or none"):
         progress()
