@@ -37,6 +37,8 @@ Mask = NDArray[np.bool_]
 
 SLENDER = 0.1
 """Least height of a triangle over its longest side: about the ratio of its legs."""
+THIN = 0.2
+"""Least ratio of the sides of a rectangle."""
 TANGENT = 0.15
 """Least sine of the angle between the curve and a leg where they meet."""
 ON = 0.02
@@ -222,7 +224,7 @@ def _between(
             corners = np.array([p, p + a + b])
             low, high = corners.min(axis=0), corners.max(axis=0)
             room = 1e-6 * (high - low)
-            if (high > low).all() and not any(
+            if (high - low).min() > THIN * (high - low).max() and not any(
                 ((x > low[d] + room[d]) & (x < high[d] - room[d])).any() for d, x in enumerate(lines)
             ):
                 found.append((low, high))

@@ -22,7 +22,10 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
     limit       seconds after which a mesh generator is stopped (default 300)
     convert     none (default), or hex4: each tetrahedron becomes four hexahedra, exactly
     refine      levels of refinement (default 0), by a
-    strategy    kept (default): build, then cut every cell; skin, map and partition are kept
+    strategy    kept (default): build, then cut every cell; skin, map and partition are kept. The functions are C0 then,
+                also where those of an HB-rep were smoother, and contain the old ones: on a triangle beside a trimming
+                curve these are no splines on halved intervals (Song and Cohen 2019, Section 6), so spaces of B-splines
+                would not be nested. The report's ``smoothness`` says 0
                 recomputed: cut the skin's elements (the same surface), trace layers from it and fill the inside anew
                 layers: cut the layers with the skin, after tracing, and fill what is below them anew (Song and Cohen
                 2019, Section 6.1); without layers the same as recomputed
@@ -171,13 +174,18 @@ def _refined(
 def volume_under(
     shell: Shell, settings: Settings, source: str, provenance: Provenance, shown: Progress = QUIET
 ) -> tuple[Shell, Domain]:
-    """Volume under a shell, its elements cut as often as the settings say, or once more where that is left open and
-    elements are not certified; and the shell as it was cut.
+    """Volume under a shell, and the shell as it was cut: as often as the settings say, or, where that is left open, not
+    at all if no volume can be made of the cut one, or once more if elements are not certified.
     """
     times = settings.subdivide if settings.subdivide is not None else int(shell.space.elements < FEW)
+    whole = shell
     for _ in range(times):
         shell = subdivided(shell)
     first = _attempt(shell, settings, source, provenance, shown)
+    if isinstance(first, InputError) and times and settings.subdivide is None:
+        plain = _attempt(whole, settings, source, provenance, shown)
+        if isinstance(plain, Domain) and not plain.report["not_certified"]:
+            return whole, _told(plain, 0)
     if (isinstance(first, Domain) and not first.report["not_certified"]) or settings.subdivide is not None:
         return shell, _told(first, times)
     finer = subdivided(shell)
