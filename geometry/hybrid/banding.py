@@ -234,12 +234,13 @@ def _between(
 def _sound(elements: list[_Element], plane: Array) -> list[_Element]:
     """Elements without those that meet others or the outline otherwise than edge to edge."""
     rank = {"triangle": 0, "cell": 1, "rectangle": 2}
-    curves = np.stack([_curve(c)[1:-1] for c in plane])
-    outline = plane[:, 0]
-    flat = plane[(np.ptp(plane, axis=1) == 0.0).any(axis=1)][:, [0, 3]]
+    bends, outline = np.stack([_curve(c) for c in plane]), plane[:, 0]
+    curves = bends[:, 1:-1]
+    pieces = np.stack([bends[:, :-1], bends[:, 1:]], axis=2).reshape(-1, 2, 2)
     alive = {
         n for n, e in enumerate(elements)
-        if e.kind != "triangle" or not _holds(e.polygon, np.delete(curves, e.number, axis=0).reshape(-1, 2)).any()
+        if (e.kind != "triangle" or not _holds(e.polygon, np.delete(curves, e.number, axis=0).reshape(-1, 2)).any())
+        and (e.kind == "cell" or not _beside(pieces, outline, e))
     }
     boxes = np.array([(e.polygon.min(axis=0), e.polygon.max(axis=0)) for e in elements]).reshape(-1, 2, 2)
     size = np.prod(boxes[:, 1] - boxes[:, 0], axis=1)
@@ -255,10 +256,7 @@ def _sound(elements: list[_Element], plane: Array) -> list[_Element]:
     while True:
         corners = {n: _corners(elements[n]) for n in sorted(alive)}
         nodes = np.concatenate([outline, *corners.values()])
-        wrong = {
-            n for n in alive if elements[n].kind != "cell"
-            and (_ends_on(elements[n].sides, nodes) or _ends_on(flat, corners[n]))
-        }
+        wrong = {n for n in alive if elements[n].kind != "cell" and _ends_on(elements[n].sides, nodes)}
         if not wrong:  # cells meet edge to edge among themselves, and give way last
             wrong = {n for n in alive if elements[n].kind == "cell" and _ends_on(elements[n].sides, nodes)}
         if not wrong:
@@ -269,6 +267,17 @@ def _sound(elements: list[_Element], plane: Array) -> list[_Element]:
 
 def _corners(element: _Element) -> Array:
     return element.polygon[[0, -2, -1]] if element.kind == "triangle" else element.polygon
+
+
+def _beside(pieces: Array, outline: Array, element: _Element) -> bool:
+    """Whether a corner inside the face is next to the outline, of which short straight pieces (m, 2, 2) are given."""
+    corners = _corners(element)
+    reach = ON * float(np.linalg.norm(np.ptp(element.polygon, axis=0)))
+    inner = corners[np.linalg.norm(corners[:, None] - outline, axis=2).min(axis=1) > 1e-6 * reach]
+    way = pieces[:, 1] - pieces[:, 0]
+    off = inner[:, None] - pieces[:, 0]
+    along = np.clip(np.einsum("kmc,mc->km", off, way) / (np.einsum("mc,mc->m", way, way) + 1e-300), 0.0, 1.0)
+    return bool((np.linalg.norm(off - along[..., None] * way, axis=2) < reach).any())
 
 
 def _ends_on(sides: Array, nodes: Array) -> bool:

@@ -120,7 +120,7 @@ def face_lines(
             firm[d].append(float(c.curve.control[:, d].mean()))
             if not brep.edges[c.edge].degenerate:
                 if c.edge in cuts:
-                    firm[1 - d].extend(curve_points(c.curve, cuts[c.edge])[:, 1 - d].tolist())
+                    given[1 - d].extend(curve_points(c.curve, cuts[c.edge])[:, 1 - d].tolist())
                 where = curve_points(c.curve, ends[c.edge])[:, 1 - d]
                 (given if c.edge in settled else loose)[1 - d].extend(where.tolist())
     # Lengths of parameter lines, and wanted sizes, on a raster of the box.

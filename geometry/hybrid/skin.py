@@ -56,6 +56,8 @@ LITTLE, HALVINGS = 0.25, 2
 """Share of a face kept as quadrilaterals below which its cells are halved, and how often."""
 PATIENCE = 3
 """Rounds without improvement by a third after which refinement stops: what is left is the file's gap, or a cusp."""
+SAME = 1e-3
+"""Relative change of the distance of an HB-rep below which the file's gap is all that is left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,10 +191,12 @@ def build_skin(
         skin = Skin(space, points, made.vertices, owners, names, made.curves, True, report, adjust)
         badness = float(report["crossings"] + report["folded"]) * 1e6 + report["max_distance"]
         stuck = 0 if best is None or badness < 0.7 * best[0] else stuck + 1
-        if best is None or badness < best[0]:
+        # The same vertex is the worst, however small its elements: that is the file's gap.
+        same = solid is not None and best is not None and badness < 1.0 and abs(badness / best[0] - 1.0) < SAME
+        if best is None or (badness < best[0] and not same):
             best = (badness, skin, sealed)
         many = report["elements"] > MOST and not report["crossings"] + report["folded"]
-        if len(finer.sizing.points) == 0 or stuck == PATIENCE or many:
+        if len(finer.sizing.points) == 0 or same or stuck == PATIENCE or many:
             break
         if stuck or best[0] < badness:  # what folds or is cut although elements were made smaller goes without
             dropped = finer.faulty & set(cells)

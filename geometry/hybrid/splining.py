@@ -29,6 +29,9 @@ Mask = NDArray[np.bool_]
 SHARE = 0.5
 """Share of the tolerance that replacing a rational surface by a polynomial spline may use."""
 
+NARROW = 0.02
+"""Share of the distance between lines within which a line makes no knot beside another."""
+
 
 @dataclass(frozen=True, eq=False)
 class Splined:
@@ -95,12 +98,16 @@ def _apart(face: Face, made: Patch) -> tuple[float, bool]:
 
 
 def on_lines(surface: Patch, lines: tuple[Array, Array]) -> Patch:
-    """The same bicubic surface with a simple knot at each line that is no knot yet."""
+    """The same bicubic surface with a simple knot at each line that is no knot yet, nor close to one: in an interval
+    that is much smaller than the elements B-splines grow beyond all bounds.
+    """
     control, knots = surface.control, []
     for d in range(2):
         t = surface.knots[d]
         reach = 10 * ALONG * float(np.ptp(t))
-        new = [x for x in lines[d].tolist() if np.abs(t - x).min() > reach and t[0] < x < t[-1]]
+        gap = np.diff(lines[d])
+        room = np.maximum(reach, NARROW * np.minimum(np.append(gap, np.inf), np.append(np.inf, gap)))
+        new = [x for x, r in zip(lines[d].tolist(), room) if np.abs(t - x).min() > r and t[0] < x < t[-1]]
         fine = np.sort(np.concatenate([t, new]))
         control = apply(insertion(t, 3, fine), control, d)
         knots.append(fine)
