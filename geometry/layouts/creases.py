@@ -68,12 +68,40 @@ def attracted(creases: Attraction | None, corner: int, vertices: Index, places: 
 
 def along_creases(layout: Layout, progress: Progress = QUIET) -> Layout:
     """Let borders between two corners on creases follow these, where that keeps the division a division."""
+    points, triangles, side = layout.surface.points, layout.surface.triangles, layout.side
+    creased = np.zeros(len(points), dtype=bool)
+    creased[layout.surface.edges[sharp(layout.surface)]] = True
     for border in progress.track(borders(layout.blocks), "borders on creases"):
-        edges = layout.surface.edges[sharp(layout.surface)]
-        on_crease = np.isin(layout.corner[list(border[:2])], edges)
-        if on_crease.all():
-            try:
-                layout = straighten_border(layout, border, cut=True)
-            except InputError:
-                continue
-    return layout
+        a, b, f, g = border
+        if f == g or not creased[layout.corner[[a, b]]].all():
+            continue
+        region = (side == f) | (side == g)
+        used, local = _capped(points, triangles[region])
+        capped = np.full(len(local.triangles), -1, dtype=np.int64)
+        capped[: region.sum()] = side[region]
+        corner = np.where(np.isin(layout.corner, used), np.searchsorted(used, layout.corner), -1)
+        try:
+            # Whether the surface has creases at all is known: the fan shall not count.
+            made = straighten_border(Layout(layout.blocks, local, capped, corner), border, True, clean=0.0)
+        except InputError:
+            continue
+        inner = made.side >= 0
+        if len(inner) - inner.sum() != len(capped) - region.sum():
+            continue
+        new = made.surface.points[len(local.points) :]
+        name = np.concatenate([used, [-1], len(points) + np.arange(len(new))])
+        points = np.concatenate([points, new])
+        triangles = np.concatenate([triangles[~region], name[made.surface.triangles[inner]]])
+        side = np.concatenate([side[~region], made.side[inner]])
+    return Layout(layout.blocks, Surface(points, triangles), side, layout.corner)
+
+
+def _capped(points: Array, triangles: Index) -> tuple[Index, Surface]:
+    """Vertices (u,) of some triangles, and these alone as a closed surface: with a fan around one more vertex."""
+    used, local = np.unique(triangles, return_inverse=True)
+    local = local.reshape(-1, 3)
+    tail, head = local.ravel(), np.roll(local, -1, axis=1).ravel()
+    rim = ~np.isin(tail * len(used) + head, head * len(used) + tail)
+    fan = np.stack([head[rim], tail[rim], np.full(rim.sum(), len(used))], axis=1)
+    apex = points[used].mean(axis=0)
+    return used, Surface(np.concatenate([points[used], apex[None]]), np.concatenate([local, fan]))

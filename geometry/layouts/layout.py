@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from geometry.layouts.blocks import Blocks
 from geometry.simplices.mean_value import mean_value
 from geometry.simplices.paths import Path, loop_of, straight, trace, without_chords
-from geometry.simplices.surface import Surface, area_vectors, sharp
+from geometry.simplices.surface import CLEAN, Surface, area_vectors, sharp
 from iga.cells import QUADRILATERAL
 from iga.errors import InputError
 
@@ -213,7 +213,9 @@ def _split_chords(layout: Layout, region: Mask) -> tuple[Layout, Mask]:
     return replace(layout, surface=surface, side=layout.side[origin]), region[origin]
 
 
-def straighten_border(layout: Layout, border: tuple[int, int, int, int], cut: bool, rounds: int = 0) -> Layout:
+def straighten_border(
+    layout: Layout, border: tuple[int, int, int, int], cut: bool, rounds: int = 0, clean: float = CLEAN
+) -> Layout:
     """Let a border follow the middle line of its two patches, or a crease near it.
 
     Parameters
@@ -222,6 +224,7 @@ def straighten_border(layout: Layout, border: tuple[int, int, int, int], cut: bo
     cut : run straight through triangles, unless most of the border follows creases; otherwise along edges that there
         are, nearly straight.
     rounds : of reweighting, see `mean_value`.
+    clean : what is a crease, see `surface.sharp`.
     """
     a, b, f, g = border
     if f == g:
@@ -240,19 +243,19 @@ def straighten_border(layout: Layout, border: tuple[int, int, int, int], cut: bo
     targets = polygon(layout.surface.points, loop, marks, corners)
     places = _plane(layout, region, loop, targets, rounds)
     start, end = int(layout.corner[a]), int(layout.corner[b])
-    path = trace(layout.surface, start, end, region, places=places, creases=True)
-    if cut and _share_of_creases(path) < FOLLOWED:
+    path = trace(layout.surface, start, end, region, places=places, creases=True, clean=clean)
+    if cut and _share_of_creases(path, clean) < FOLLOWED:
         path = straight(layout.surface, region, places, start, end)
     return with_border(layout, path, f, g)
 
 
-def _share_of_creases(path: Path) -> float:
+def _share_of_creases(path: Path, clean: float) -> float:
     """Part of a path's length that runs along creases."""
     surface, size = path.surface, len(path.surface.points)
     ends = np.sort(np.stack([path.vertices[:-1], path.vertices[1:]], axis=1), axis=1)
     row = np.searchsorted(surface.edges @ np.array([size, 1]), ends @ np.array([size, 1]))
     length = np.linalg.norm(surface.points[ends[:, 1]] - surface.points[ends[:, 0]], axis=1)
-    return float(length[sharp(surface)[row]].sum() / length.sum())
+    return float(length[sharp(surface, clean)[row]].sum() / length.sum())
 
 
 def centre_corner(layout: Layout, n: int, rounds: int = 0, step: float = 1.0) -> Layout:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from geometry.simplices.surface import Surface, sharp
+from geometry.simplices.surface import CLEAN, Surface, sharp
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -147,6 +147,7 @@ def without_chords(surface: Surface, group: Index) -> tuple[Surface, Index]:
 def trace(
     surface: Surface, start: int, end: int, inside: Mask | None = None, walls: Index | None = None,
     places: Array | None = None, avoid: Index | None = None, creases: bool = False,
+    clean: float = CLEAN,
 ) -> Path:
     """Shortest path along edges from one vertex to another.
 
@@ -158,6 +159,7 @@ def trace(
     places : (v, n) coordinates in which lengths are measured; the points themselves if None.
     avoid : further vertices that the path may not touch but at its ends.
     creases : let the path rather follow sharp edges of the surface.
+    clean : see `sharp`.
 
     Raises
     ------
@@ -191,7 +193,7 @@ def trace(
     ends = surface.edges[usable]
     length = np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=1) + 1e-300
     if creases:
-        length = np.where(sharp(surface)[usable], EASE * length, length)
+        length = np.where(sharp(surface, clean)[usable], EASE * length, length)
     size = len(surface.points)
     graph = csr_array(coo_array((length, (ends[:, 0], ends[:, 1])), shape=(size, size)))
     before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)[1]

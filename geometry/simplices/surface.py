@@ -101,10 +101,11 @@ def area_vectors(surface: Surface) -> Array:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0
 
 
-def sharp(surface: Surface) -> NDArray[np.bool_]:
+def sharp(surface: Surface, clean: float = CLEAN) -> NDArray[np.bool_]:
     """Whether each edge (k,) is a crease, where the surface turns by more than `CREASE` degrees.
 
-    On surfaces that turn almost as much at many other edges (scans, coarse meshes of round solids) none is.
+    On surfaces that turn almost as much at many other edges (scans, coarse meshes of round solids) none is: where
+    creases are not ``clean`` times as long as edges that turn by a quarter of the angle at least.
     """
     normal = area_vectors(surface)
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
@@ -113,7 +114,7 @@ def sharp(surface: Surface) -> NDArray[np.bool_]:
     crease = cosine < np.cos(np.radians(CREASE))
     bent = (cosine < np.cos(np.radians(CREASE / 4))) & ~crease
     length = np.linalg.norm(surface.points[surface.edges[:, 1]] - surface.points[surface.edges[:, 0]], axis=1)
-    return np.asarray(crease & (length[crease].sum() > CLEAN * length[bent].sum()))
+    return np.asarray(crease & (length[crease].sum() > clean * length[bent].sum()))
 
 
 def checked_surface(points: Array, triangles: Index, crossings: bool = False) -> tuple[Surface, dict[str, Any]]:
