@@ -20,10 +20,10 @@ from geometry.layouts.frame import frame_of
 from geometry.layouts.layout import Layout, balance, by_labels
 from geometry.layouts.partition import price
 from geometry.layouts.routing import route
-from geometry.layouts.voxels import Voxels, place, voxelise
+from geometry.layouts.voxels import Voxels, merged, place, voxelise
 from geometry.layouts.wrapping import corner_vertices, wrap
 from geometry.simplices.paths import refined
-from geometry.simplices.surface import Surface, genus
+from geometry.simplices.surface import Surface, genus, sharp
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 
@@ -42,7 +42,8 @@ def polycube_layout(
 
     Parameters
     ----------
-    voxels : the polycube; None to let it be found (`voxelise`). Cuboids given by hand: see `voxels.cuboids`.
+    voxels : the polycube; None to let it be found (`voxelise`), on a surface with creases in few layers. Cuboids given
+        by hand: see `voxels.cuboids`.
     sweeps : how often every corner is moved to the middle of the patches around it.
     labels : (t,) side of the polycube for each triangle, to give the whole division of given voxels by hand.
 
@@ -57,6 +58,9 @@ def polycube_layout(
     report: dict[str, Any] = {}
     if voxels is None:
         voxels, report = voxelise(surface, progress=progress)
+        if sharp(surface).any():
+            voxels, fewer = merged(surface, voxels, progress)
+            report |= fewer
     blocks = polycube(voxels.cells)
     frame = frame_of(blocks)
     if frame.genus != genus(surface):

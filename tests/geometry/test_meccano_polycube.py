@@ -18,7 +18,7 @@ from geometry.layouts.isotopy import deforms
 from geometry.layouts.layout import borders, check, round_corners
 from geometry.layouts.partition import partition, price
 from geometry.layouts.polycube import REACH, SLENDER, polycube_layout, polycube_map, slender_map
-from geometry.layouts.voxels import cuboids, orientation, place, shares, topology, voxelise
+from geometry.layouts.voxels import MOST, Voxels, cuboids, merged, orientation, place, shares, topology, voxelise
 from geometry.meccano import source
 from geometry.meccano.settings import parse
 from geometry.meccano.shapes import ball
@@ -149,6 +149,24 @@ def test_shares_add_up_to_the_volume() -> None:
         errors.append(abs(found.sum() * (3.4 / n) ** 3 / volume(surface) - 1))
     assert errors[0] < 1e-3
     assert errors[-1] < 5e-5
+
+
+def test_layers_of_voxels_become_one() -> None:
+    surface = body(
+        [(i, j, 0) for i in range(3) for j in range(3) if (i, j) != (1, 1)], [0, 5, 7, 12], [0, 4, 8, 12], [0, 1]
+    )
+    inside = np.pad(np.ones((12, 12, 1), dtype=bool), 1)
+    inside[6:8, 5:9] = False
+    x, y, z = (np.arange(-1.0, n - 0.5) for n in inside.shape)
+    fewer, other = merged(surface, Voxels(np.argwhere(inside), np.eye(3), (x, y, z)))
+    # Layers that are alike cost nothing.
+    assert other["mismatch"] < 1e-9
+    assert other["voxels"] + other["boundary_sides"] <= MOST < inside.sum() + topology(inside).faces
+    assert frame_of(polycube(fewer.cells)).genus == 1
+    # Volume by places of the voxels: no more is missing or too much than the report says.
+    sides = np.prod([np.diff(line)[fewer.cells[:, d]] for d, line in enumerate(fewer.planes)], axis=0)
+    assert abs(sides.sum() / volume(surface) - 1) <= other["mismatch"] + 1e-9
+    assert place(fewer, fewer.cells + 1).max() < 14.0
 
 
 def test_orientation_finds_the_axes_of_a_turned_box() -> None:
