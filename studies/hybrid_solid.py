@@ -78,6 +78,8 @@ CASES: dict[str, tuple[Case, ...]] = {
         ("bracket", 0.2, (1e-3, 1e-5), True), ("tetrapod", 0.2, (2e-5,), False),
         ("block_through_hole.step", 0.2, (1e-3, 1e-4, 1e-5), True), ("block_torus_fillet3.step", 0.2, (2e-5,), True),
         ("face_3_loops.step", 0.2, (2e-5,), False), ("two_elliptical_edges.step", 0.2, (2e-5,), True),
+        ("sliced_cylinder.step", 0.2, (2e-5,), True), ("angled.step", 0.2, (2e-5,), False),
+        ("featuretype.step", 0.2, (2e-5,), False),
     ),
 }
 """Model, size of elements, tolerances, and whether a volume with layers is made at the first of them."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 pytest.importorskip("OCP")
 
-from geometry.cad.brep import Brep, curve_points, curve_tangents
+from geometry.cad.brep import Brep, curve_points, curve_tangents, surface_points
 from geometry.hybrid import shapes
 from geometry.hybrid import skin as skins
 from geometry.hybrid.banding import band_elements, joined
@@ -20,7 +20,7 @@ from geometry.hybrid.compatible import compatible_cuts, line_cuts, with_cuts, wi
 from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.grid import followed
 from geometry.hybrid.sealing import Sealed, seal
-from geometry.hybrid.splining import Splined, splined
+from geometry.hybrid.splining import Splined, on_lines, splined
 
 Array = NDArray[np.float64]
 
@@ -171,3 +171,36 @@ def test_points_that_are_near_become_one() -> None:
     names, everything = joined(points, np.array([(1.0, 1e-12), (0.5, 0.5), (0.5, 0.5 + 1e-12)]), np.ones(2))
     assert names.tolist() == [1, 2, 2]
     assert len(everything) == 3
+
+
+def straight(points: list[tuple[float, float]]) -> tuple[Array, NDArray[np.int64]]:
+    """Outline of a polygon."""
+    a = np.array(points, dtype=float)
+    step = np.roll(a, -1, axis=0) - a
+    s = np.linspace(0.0, 1.0, 4)[None, :, None]
+    return a[:, None] + s * step[:, None], np.roll(np.arange(len(a)), -1)
+
+
+def test_corners_on_the_outline_must_be_its_vertices() -> None:
+    """At a sharp corner a leg runs along the edge: it must end where a piece ends."""
+    chart = make_chart(solid("curved_box").faces[0])
+    lines = (np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    none = np.zeros((0, 2, 2))
+    whole = band_elements(*straight([(0, 0), (1, 0), (0, 1)]), lines, none, chart)
+    assert whole.corner.tolist() == [[0.0, 0.0]]
+    assert whole.without == {"flat": 2}
+    halves = band_elements(*straight([(0, 0), (1, 0), (0.5, 0.5), (0, 1)]), lines, none, chart)
+    assert halves.without == {"flat": 2, "meeting": 2}
+    cut = band_elements(*straight([(0, 0), (0.5, 0), (1, 0), (0.5, 0.5), (0, 1), (0, 0.5)]), lines, none, chart)
+    assert sorted(cut.corner.tolist()) == [[0.0, 0.5], [0.5, 0.0]]
+    assert np.allclose(np.stack([cut.low, cut.high]), [[[0.0, 0.0]], [[0.5, 0.5]]])
+
+
+def test_no_knot_lies_next_to_another() -> None:
+    surface = solid("curved_box").faces[0].surface
+    u, v = surface.knots
+    lines = u[0] + np.array([0.0, 0.4, 0.7, 0.999]) * (u[-1] - u[0])
+    made = on_lines(surface, (lines, np.unique(v)))
+    assert np.allclose(np.unique(made.knots[0]), np.unique(np.concatenate([u, lines[1:3]])))
+    uv = np.random.default_rng(3).uniform(0.0, 1.0, (20, 2)) * [np.ptp(u), np.ptp(v)] + [u[0], v[0]]
+    assert np.abs(surface_points(made, uv) - surface_points(surface, uv)).max() < 1e-13
