@@ -16,9 +16,10 @@ traced layers are not valid, paths are straight (`ways`).
 of their common edges, so a layer has no gaps along trimming curves by construction; what the least squares do is to
 find control points whose surface moves, on each element, as nearly as possible linearly between its vertices, and
 under an HB-rep such that each face's B-splines, without their revision, follow the curves: what the trim functions then
-add is small. Layers are kept apart by the size of elements: depths of neighbours differ by `SLOPE` times their distance
-at most, which scales with the mesh (the paper's fixed epsilon does not, which is what it calls wrinkles). Relaxation
-moves each vertex's shift by ``beta`` towards the mean of its neighbours'.
+add is small. Between C0 functions bulges of elements shrink with the layer (`affine`). Layers are kept apart by the
+size of elements: depths of neighbours differ by `SLOPE` times their distance at most, which scales with the mesh (the
+paper's fixed epsilon does not, which is what it calls wrinkles). Relaxation moves each vertex's shift ``SWEEPS`` times
+by ``beta`` towards the affine fit of its neighbours'.
 
 Axis letters: e element, v vertex, k function of the skin, j layer, s element across, c component.
 """
@@ -32,6 +33,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
+from geometry.hybrid.affine import relaxed, spread
 from geometry.hybrid.fairing import fair_displacement
 from geometry.hybrid.field import field_under
 from geometry.hybrid.filling import LIMIT
@@ -40,7 +42,7 @@ from geometry.hybrid.subdividing import refined
 from geometry.hybrid.volume import assemble, complete, degree_of, fill_skin
 from geometry.hybrid.ways import Ways, bounded, inward, ways_of
 from geometry.knots import extraction
-from iga.bernstein import bernstein, elevation, functions_at
+from iga.bernstein import bernstein, functions_at
 from iga.block import Block, Extraction, Patterns, bezier_coefficients, dense_extraction
 from iga.cells import HEXAHEDRON, QUADRILATERAL, WEDGE
 from iga.certificate import certify
@@ -51,8 +53,8 @@ from iga.progress import QUIET, Progress
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-BETA = 0.2
-"""Relaxation: share of a vertex's shift that the mean of its neighbours' replaces."""
+BETA, SWEEPS = 0.5, 4
+"""Relaxation: share of a vertex's shift that the affine fit of its neighbours' replaces, and how often."""
 _TRIES = 3
 LOWER = 0.7
 """Factor of the depth around elements that are not certified."""
@@ -71,7 +73,8 @@ def inner_shell(shell: Shell, omega: float) -> tuple[Shell, Array]:
     -------
     The shell, and the displacement of each function's control point (n, 3).
     """
-    D = _displacement(shell, omega * ways_of(shell, None).straight)
+    ways = ways_of(shell, None)
+    D = _displacement(shell, omega * ways.straight, ways.edges)
     return moved(shell, D), D
 
 
@@ -96,8 +99,7 @@ def traced(
     good = inward(shell, ways, depth) & (scale > STUBBORN)
     reach = np.linalg.norm(ways.straight, axis=1)
     plain = np.minimum(1.0, np.minimum(depth, scale * omega * reach) / (reach + 1e-300))[:, None] * ways.straight
-    degree = np.bincount(ways.edges.ravel(), minlength=len(rows))[:, None]
-    relax = beta * (good & (np.asarray(scale) == 1.0))[:, None]  # vertices in difficulty stay on their way
+    relax = beta * (good & (np.asarray(scale) == 1.0))  # vertices in difficulty stay on their way
     last = ways.places.shape[1] - 1
     result = []
     for share in shares:
@@ -106,14 +108,12 @@ def traced(
         rest = (at - k)[:, None]
         shift = (1.0 - rest) * ways.places[rows, k] + rest * ways.places[rows, k + 1] - shell.vertices
         shift = np.where(good[:, None], shift, share * plain)
-        mean = np.zeros_like(shift)
-        np.add.at(mean, ways.edges[:, 0], shift[ways.edges[:, 1]])
-        np.add.at(mean, ways.edges[:, 1], shift[ways.edges[:, 0]])
-        shift = (1.0 - relax) * shift + relax * mean / degree
+        shift = relaxed(shell.vertices, shift, ways.edges, relax, SWEEPS)
         if shell.adjust is not None:
             shift = _faired(shell, ways.edges, shift, scale)
         result.append(shift)
-    return np.moveaxis(_displacement(shell, np.hstack(result)).reshape(shell.space.n, -1, 3), 1, 0)
+    D = _displacement(shell, np.hstack(result), ways.edges)
+    return np.moveaxis(D.reshape(shell.space.n, -1, 3), 1, 0)
 
 
 def _faired(shell: Shell, edges: Index, shift: Array, scale: Array | float) -> Array:
@@ -177,17 +177,13 @@ def moved(shell: Shell, displacement: Array) -> Shell:
     return replace(shell, points=points, vertices=vertices)
 
 
-def _displacement(shell: Shell, shift: Array) -> Array:
-    """Displacement of control points (n, c) by shifts of the vertices (v, c): linear on each element, or smooth where
-    the skin's functions are smoother than C0 (`fairing`).
+def _displacement(shell: Shell, shift: Array, edges: Index) -> Array:
+    """Displacement of control points (n, c) by shifts of the vertices (v, c): as nearly affine as those are, or smooth
+    where the skin's functions are smoother than C0 (`fairing`).
     """
-    blocks = shell.space.blocks
-    if any(block.extraction is not None for block in blocks):
+    if any(block.extraction is not None for block in shell.space.blocks):
         return fair_displacement(shell, shift)
-    result = np.zeros((shell.space.n, shift.shape[1]))
-    for block, corners in zip(blocks, shell.corners):
-        result[block.dofs] = elevation(bernstein(block.basis.cell, 1), block.basis.degree) @ shift[corners]
-    return result
+    return spread(shell, shift, edges)
 
 
 def with_layers(inside: Domain, shell: Shell, displacements: Array, vertices: int) -> Domain:

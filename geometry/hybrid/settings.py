@@ -30,7 +30,7 @@ class Settings:
     strategy: str = "kept"
     paths: str = "blended"
     mid: tuple[tuple[float, ...], ...] | None = None
-    relax: float = 0.2
+    relax: float = 0.5
 
 
 _RANGES: dict[str, tuple[float, float]] = {

@@ -15,7 +15,7 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
     omega       share of the way to the mid-structure that layers take (default 0.5), less where they would fold
     paths       blended (default): layers are traced along the blend of harmonic gradient and distance; or straight
     mid         the mid-structure: auto (default), or points as "x,y,z; x,y,z; .."
-    relax       relaxation of layers, 0 to 1 (default 0.2)
+    relax       relaxation of layers, 0 to 1 (default 0.5)
     subdivide   how often the skin's elements are cut in four before the volume is filled; "auto" (default): once if
                 the skin has few elements, which would leave next to no vertex inside the solid, and once more if
                 elements are left that are not certified
