@@ -199,8 +199,13 @@ def build_skin(
         if len(finer.sizing.points) == 0 or same or stuck == PATIENCE or many:
             break
         if stuck or best[0] < badness:  # what folds or is cut although elements were made smaller goes without
-            dropped = finer.faulty & set(cells)
-            without.update(dict.fromkeys(dropped, "its quadrilaterals fold or are cut"))
+            dropped = finer.faulty & banded  # the band before the quadrilaterals
+            if dropped:
+                banded -= dropped
+                unbanded.update(dict.fromkeys(dropped, "its elements fold or are cut"))
+            else:
+                dropped = finer.faulty & set(cells)
+                without.update(dict.fromkeys(dropped, "its quadrilaterals fold or are cut"))
             stuck = 0 if dropped else stuck
         cells = {f: min(most, finer.cells.get(f, most)) for f, most in cells.items() if f not in without}
         sizing = Sizing(
