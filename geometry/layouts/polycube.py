@@ -32,6 +32,7 @@ Index = NDArray[np.int64]
 PER_SIDE = 200  # triangles at least for each side of the polycube, so that there is room for its edges
 SLENDER = 0.1  # share inside from which on a voxel belongs to a polycube that follows thin limbs
 REACH = 0.6  # voxels' sides that the surface may be away from such a polycube
+BEYOND = 1.0  # voxels along the longest axis by which finer ones are compared
 
 
 def polycube_layout(
@@ -93,7 +94,7 @@ def slender_map(surface: Surface, limit: float = 10000.0, progress: Progress = Q
 
     Corners are moved less often than in other polycubes: patches at the ends of limbs would swallow the limbs.
     """
-    voxels, report = voxelise(surface, progress=progress, fullness=SLENDER, reach=REACH)
+    voxels, report = voxelise(surface, progress=progress, fullness=SLENDER, reach=REACH, beyond=BEYOND)
     mapping, quality = polycube_map(surface, voxels, sweeps=2, limit=limit, progress=progress)
     return mapping, report | quality
 

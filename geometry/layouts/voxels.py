@@ -103,7 +103,7 @@ def topology(inside: Flags) -> Topology:
 
 def voxelise(
     surface: Surface, resolution: float | None = None, mismatch: float = 0.53, progress: Progress = QUIET,
-    fullness: float = 0.5, reach: float = np.inf,
+    fullness: float = 0.5, reach: float = np.inf, beyond: float = 0.0,
 ) -> tuple[Voxels, dict[str, Any]]:
     """Voxels with the topology of the solid inside a surface.
 
@@ -114,6 +114,8 @@ def voxelise(
     fullness : share inside from which on a voxel rather belongs to the set; with less than a half, limbs thinner than
         a voxel are followed.
     reach : how many voxels' sides the surface may be away from the voxels.
+    beyond : by how many voxels along the longest axis finer sets that will do as well are compared; the set with the
+        least mismatch is taken.
 
     Returns
     -------
@@ -128,14 +130,19 @@ def voxelise(
     if not (tried > 0).all() or not (tried <= 4 * FINEST).all():
         raise InputError(f"a resolution is a number of voxels between 0 and {4 * FINEST:g}, not {resolution}")
     best: tuple[float, Voxels, dict[str, Any]] | None = None
+    will_do: tuple[float, Voxels, dict[str, Any]] | None = None
+    last = np.inf
     for number in progress.track(tried.tolist(), "voxels"):
         found = _on_grids(surface, handles, rotation, number, fullness)
-        if found is None:
-            continue
-        if found[0] <= mismatch and found[2]["reach"] <= reach:
-            return found[1], found[2]
-        if best is None or found[0] < best[0]:
+        if found is not None and (best is None or found[0] < best[0]):
             best = found
+        if found is not None and found[0] <= mismatch and found[2]["reach"] <= reach:
+            last = min(last, number + beyond)
+            if will_do is None or found[0] < will_do[0]:
+                will_do = found
+        if number >= last:
+            break
+    best = best if will_do is None else will_do
     if best is None:
         where = f"{tried[0]:g} to {tried[-1]:g} voxels" if len(tried) > 1 else f"{tried[0]:g} voxels"
         raise InputError(

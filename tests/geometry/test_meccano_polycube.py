@@ -335,6 +335,10 @@ def test_thin_limbs_are_left_out_or_followed(surface: Surface) -> None:
     away = np.abs((surface.points[:, None] - middles) @ voxels.rotation.T).max(axis=2).min(axis=1)
     assert abs(away.max() / voxels.size - 0.5 - slender["reach"]) < 1e-9
     assert frame_of(polycube(voxels.cells)).genus == 0
+    # Of the finer ones beside it, none that fits worse is taken.
+    finer = voxelise(surface, fullness=SLENDER, reach=REACH, beyond=1.0)[1]
+    assert finer["mismatch"] <= slender["mismatch"]
+    assert 0.0 <= finer["resolution"] - slender["resolution"] <= 1.0
 
 
 @pytest.mark.long
