@@ -11,10 +11,6 @@ Single voxels then join or leave as long as that mends the topology, and afterwa
 without changing the topology. Of the sets that lie in space as the solid does (`isotopy`), the coarsest with little
 volume between it and the solid is taken.
 
-The boundary of a set of voxels is a manifold if and only if at every grid point the voxels of the set are
-connected through faces among the eight around it, and so are the others. Then it has twice as many edges as faces,
-so its Euler characteristic is (points) - (faces).
-
 Axis letters: v vertex, t triangle, i j k voxel.
 """
 
@@ -32,6 +28,7 @@ from scipy.spatial import cKDTree
 
 from geometry.layouts import merging
 from geometry.layouts.isotopy import deforms, simple
+from geometry.layouts.topology import defects_of, smooth_points, topology, topology_of
 from geometry.simplices.surface import Surface, area_vectors, genus
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
@@ -75,30 +72,6 @@ def place(voxels: Voxels, corners: Array) -> Array:
     """Points (v, 3) in space of grid points (v, 3)."""
     whole = corners.astype(np.int64)
     return np.stack([line[whole[:, d]] for d, line in enumerate(voxels.planes)], axis=1) @ voxels.rotation
-
-
-@dataclass(frozen=True)
-class Topology:
-    """What a set of voxels is, as a shape.
-
-    Attributes
-    ----------
-    pinched : grid points at which the boundary is not a manifold.
-    parts, outsides : components of the set and of its complement, connected through faces.
-    genus : of the boundary; meaningful if nothing is pinched and there is one part and one outside.
-    faces : faces on the boundary.
-    """
-
-    pinched: int
-    parts: int
-    outsides: int
-    genus: int
-    faces: int
-
-
-def topology(inside: Flags) -> Topology:
-    """The topology of a set of voxels (i, j, k); a layer of empty voxels is added around it."""
-    return Topology(*(int(value) for value in _topology(np.pad(inside, 1), _smooth_points())))
 
 
 def voxelise(
@@ -242,7 +215,7 @@ def _on_grids(
     spacing = float((high - low).max()) / number
     ni, nj, nk = (int(n) for n in np.ceil((high - low) / spacing) + 3)
     shape = (ni, nj, nk)
-    smooth = _smooth_points()
+    smooth = smooth_points()
     found: dict[Any, tuple[float, float, int, Array, Flags]] = {}
     for shift in np.ndindex(2, 2, 2):
         origin = (low + high - spacing * (np.array(shape) - shift)) / 2
@@ -368,81 +341,6 @@ def _shares(points, triangles, ni, nj, nk, lines):  # type: ignore[no-untyped-de
     return result / lines**2
 
 
-def _smooth_points() -> Flags:
-    """(256,) whether the boundary is a manifold at a grid point with these voxels of the eight around it."""
-    return _connected_among_eight() & _connected_among_eight()[::-1]
-
-
-def _connected_among_eight() -> Flags:
-    result = np.ones(256, dtype=bool)
-    for pattern in range(256):
-        members = [v for v in range(8) if pattern >> v & 1]
-        if members:
-            reached, front = {members[0]}, [members[0]]
-            while front:
-                v = front.pop()
-                for bit in (1, 2, 4):
-                    if v ^ bit in members and v ^ bit not in reached:
-                        reached.add(v ^ bit)
-                        front.append(v ^ bit)
-            result[pattern] = len(reached) == len(members)
-    return result
-
-
-@njit(cache=True)
-def _topology(inside, smooth):  # type: ignore[no-untyped-def]
-    ni, nj, nk = inside.shape
-    pinched, points, faces = 0, 0, 0
-    for i in range(ni - 1):
-        for j in range(nj - 1):
-            for k in range(nk - 1):
-                pattern = 0
-                for v in range(8):
-                    if inside[i + (v >> 2), j + (v >> 1 & 1), k + (v & 1)]:
-                        pattern |= 1 << v
-                if 0 < pattern < 255:
-                    points += 1
-                    pinched += not smooth[pattern]
-                here = inside[i, j, k]
-                faces += here != inside[i + 1, j, k]
-                faces += here != inside[i, j + 1, k]
-                faces += here != inside[i, j, k + 1]
-    parts = np.zeros(2, dtype=np.int64)
-    seen = np.zeros(inside.shape, dtype=np.bool_)
-    stack = np.empty((inside.size, 3), dtype=np.int64)
-    for i in range(ni):
-        for j in range(nj):
-            for k in range(nk):
-                if seen[i, j, k]:
-                    continue
-                value = inside[i, j, k]
-                parts[1 if value else 0] += 1
-                seen[i, j, k] = True
-                stack[0] = i, j, k
-                top = 1
-                while top > 0:
-                    top -= 1
-                    a, b, c = stack[top]
-                    for axis in range(3):
-                        for step in (-1, 1):
-                            u = a + (step if axis == 0 else 0)
-                            v = b + (step if axis == 1 else 0)
-                            w = c + (step if axis == 2 else 0)
-                            if 0 <= u < ni and 0 <= v < nj and 0 <= w < nk and not seen[u, v, w] \
-                                    and inside[u, v, w] == value:
-                                seen[u, v, w] = True
-                                stack[top] = u, v, w
-                                top += 1
-    return pinched, parts[1], parts[0], 1 - (points - faces) // 2, faces
-
-
-@njit(cache=True)
-def _defects(inside, smooth, genus):  # type: ignore[no-untyped-def]
-    """How far a set is from being a solid of the given genus; 0 if it is one."""
-    pinched, parts, outsides, found, _ = _topology(inside, smooth)
-    return pinched + 2 * (parts - 1) + 2 * (outsides - 1) + abs(found - genus)
-
-
 @njit(cache=True)
 def _keeps(inside, smooth, i, j, k):  # type: ignore[no-untyped-def]
     """Whether the set stays what it is, as a shape, when a voxel joins or leaves it."""
@@ -469,7 +367,7 @@ def _relax(inside, share, smooth, genus, weight):  # type: ignore[no-untyped-def
     Returns defects, energy without the faces' part, and faces.
     """
     ni, nj, nk = inside.shape
-    defects = _defects(inside, smooth, genus)
+    defects = defects_of(inside, smooth, genus)
     for _ in range(inside.size):
         best, best_defects, where = np.inf, defects, (0, 0, 0)
         for i in range(1, ni - 1):
@@ -493,7 +391,7 @@ def _relax(inside, share, smooth, genus, weight):  # type: ignore[no-untyped-def
                         better = _keeps(inside, smooth, i, j, k)
                     else:
                         inside[i, j, k] = not here
-                        now = _defects(inside, smooth, genus)
+                        now = defects_of(inside, smooth, genus)
                         inside[i, j, k] = here
                         better = now < best_defects or (now < defects and now == best_defects and change < best)
                     if better:
@@ -507,4 +405,4 @@ def _relax(inside, share, smooth, genus, weight):  # type: ignore[no-untyped-def
         for j in range(nj):
             for k in range(nk):
                 energy += 1.0 - share[i, j, k] if inside[i, j, k] else share[i, j, k]
-    return defects, energy, _topology(inside, smooth)[4]
+    return defects, energy, topology_of(inside, smooth)[4]

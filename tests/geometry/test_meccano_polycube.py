@@ -18,7 +18,8 @@ from geometry.layouts.isotopy import deforms
 from geometry.layouts.layout import borders, check, round_corners
 from geometry.layouts.partition import partition, price
 from geometry.layouts.polycube import REACH, SLENDER, polycube_layout, polycube_map, slender_map
-from geometry.layouts.voxels import MOST, Voxels, cuboids, merged, orientation, place, shares, topology, voxelise
+from geometry.layouts.topology import topology
+from geometry.layouts.voxels import MOST, Voxels, cuboids, merged, orientation, place, shares, voxelise
 from geometry.meccano import source
 from geometry.meccano.settings import parse
 from geometry.meccano.shapes import ball
