@@ -6,9 +6,10 @@ of growing stiffness draw the boundary to ever better fits of the map, as far as
 
 From then on boundary points slide along the surface while the shapes of all elements are smoothed, held by springs
 between samples of the boundary and the points of the surface closest to them, and between samples of the surface and
-the points of the boundary closest to those. They begin soft, so that boundaries that the map left far off, or twisted,
-come along without a fold. Cells whose facets are farther from the surface than the tolerance are split with their
-neighbours, the solid is carried to the finer space as it is, and slides again.
+the points of the boundary closest to those, as far as they face the same way (`springs`). They begin soft, so that
+boundaries that the map left far off, or twisted, come along without a fold. Cells whose facets are farther from the
+surface than the tolerance are split with their neighbours, the solid is carried to the finer space as it is, and slides
+again around them. Fine tolerances are reached through coarser ones.
 
 A step that would leave an element without certificate is shortened around it, so what starts valid ends valid.
 
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import count
 from time import perf_counter
 from typing import Any
 
@@ -60,7 +62,7 @@ class Aims:
     ----------
     tolerance : distance from the surface, both ways.
     max_cells : most cells of the T-mesh.
-    rounds : most rounds of refinement.
+    rounds : most rounds of refinement for each of the tolerances gone through.
     slides : rounds of smoothing of poor shapes at the end.
     """
 
@@ -165,20 +167,37 @@ def solid_of(
         solid = _drawn(solid, aim, fairness, aims, shown)
     state = _measured(task, solid, aim)
     note("drawing", state)
-    for step in range(aims.rounds + 1):
-        state = _settled(task, state, step == 0)
-        note("sliding", state)
-        marks = _marked(state.solid, state.errors, aims)
-        finer = _finer(state.solid, marks, aims)
-        if finer is None or step == aims.rounds:
+    for tolerance in nested(aims.tolerance, surface.diagonal):
+        state, ended = _grown(replace(task, aims=replace(aims, tolerance=tolerance)), state, start, note)
+        if ended:
             break
-        state = _measured(task, finer)
     state = _finished(task, state)
     note("fitting", state)
-    history[-1]["ended"] = (
-        "within the tolerance" if not state.excess(aims) else "rounds spent" if finer is not None else "cells spent"
-    )
+    history[-1]["ended"] = ended if state.excess(aims) else "within the tolerance"
     return state.solid, history
+
+
+def nested(tolerance: float, diagonal: float) -> list[float]:
+    """Tolerances to go through: a fine one by halves from `_COARSE` diagonals, so that springs are soft at first."""
+    halves = max(int(np.floor(np.log2(_COARSE * diagonal / tolerance) + 1e-9)), 0)
+    return [tolerance * 2.0**k for k in range(halves, -1, -1)]
+
+
+def _grown(task: _Task, state: _State, start: Hierarchy, note: Callable[[str, _State], None]) -> tuple[_State, str]:
+    """A solid slid and refined until it is within the tolerance, or what stops it."""
+    for step in count():
+        state = _settled(task, state, state.solid.space is start)
+        note("sliding", state)
+        marks = _marked(state.solid, state.errors, task.aims)
+        if not len(marks):
+            break
+        if step == task.aims.rounds:
+            return state, "rounds spent"
+        finer = _finer(state.solid, marks, task.aims)
+        if finer is None:
+            return state, "cells spent"
+        state = _measured(task, finer)
+    return state, ""
 
 
 def _measured(task: _Task, solid: Solid, aim: Array | None = None) -> _State:
@@ -222,9 +241,10 @@ def _slid_on(task: _Task, state: _State, limit: float, softness: float = 1.0) ->
     """Slide while that lowers what is off, and something is by more than ``limit`` tolerances."""
     while state.excess(task.aims) and state.errors.worst.max() > limit * task.aims.tolerance:
         tried = _slid(task, state, softness)
-        if tried.excess(task.aims) < state.excess(task.aims):
-            before, state = state, tried
-        if state is not tried or state.excess(task.aims) > _PROGRESS * before.excess(task.aims):
+        before, now = state.excess(task.aims), tried.excess(task.aims)
+        if now < before:
+            state = tried
+        if now > _PROGRESS * before:
             break
     return state
 
@@ -245,7 +265,7 @@ def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None)
 
 
 def acting(solid: Solid, cells: Mask) -> Mask:
-    """(n,) functions that act on some of the leaf cells (c,)."""
+    """(n,) functions that act on some leaf cells (c,)."""
     mask = np.zeros(solid.space.space.n, dtype=bool)
     for number, block in enumerate(solid.space.space.blocks):
         mine = cells & (solid.space.element[:, 0] == number)
@@ -257,6 +277,8 @@ def acting(solid: Solid, cells: Mask) -> Mask:
 _TRIES = 8
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _STIFF = (1.0, 10.0, 100.0)
+# Tolerance, in diagonals, from which finer ones are halved.
+_COARSE = 0.004
 # Softness of springs on the first mesh and on finer ones, before it is 1, on the last one, and down to which the map
 # leads.
 _GRADES = (8.0, 8.0, 8.0, 4.0, 4.0, 2.0)

@@ -12,7 +12,7 @@ from geometry.meccano.fitting import laid
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.shapes import ball
 from geometry.meccano.skin import skin_of
-from geometry.meccano.solid import Aims, Solid, _marked, solid_of
+from geometry.meccano.solid import Aims, Solid, _marked, nested, solid_of
 from geometry.meccano.tmesh import uniform
 from iga.certificate import certify
 from iga.scaled_jacobian import least_of_elements
@@ -66,10 +66,16 @@ def test_growth_says_that_cells_are_spent():
     mapping = carried(mapping, blocks)
     start = hierarchy(uniform(blocks, 0, 1))
     solid, history = solid_of(
-        start, lambda side, s: on_surface(mapping, side, s)[0], surface, Aims(2e-3 * surface.diagonal, 7)
+        start, lambda side, s: on_surface(mapping, side, s)[0], surface, Aims(3e-3 * surface.diagonal, 7)
     )
     sliding, fitting = history[-2:]
     assert fitting["ended"] == "cells spent"
     assert 0 < fitting["facets_off"] <= sliding["facets_off"]
     assert max(fitting["away"], fitting["missed"]) < 1.05 * max(sliding["away"], sliding["missed"])
     assert (certify(solid.domain).verdict == 1).all()
+
+
+def test_fine_tolerances_are_reached_through_coarser_ones():
+    np.testing.assert_allclose(nested(0.001, 1.0), [0.004, 0.002, 0.001])
+    np.testing.assert_allclose(nested(0.3, 100.0), [0.3])
+    np.testing.assert_allclose(nested(1.0, 100.0), [1.0])
