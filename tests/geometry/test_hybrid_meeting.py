@@ -112,3 +112,15 @@ def test_skins_of_files_reach_the_tolerance(name: str, solid: int | None) -> Non
     """Parts whose edges lie up to 2.6e-5 of the diagonal off their faces, and surfaces with many knots."""
     skin = build_skin(read_cad(DATA / name, solid), 0.2, 2e-5)
     assert skin.report["max_distance"] <= 2e-5
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
+@pytest.mark.parametrize("kind", ["hybrid", "hb-rep"])
+@pytest.mark.parametrize("name", ["angled.step", "featuretype.step"])
+def test_quadrilaterals_need_no_plain_triangles_instead(name: str, kind: str) -> None:
+    """Parts that once fell back to triangles everywhere, because faces of their quadrilaterals crossed."""
+    report = build_skin(read_cad(DATA / name, None), quads=kind == "hybrid", splines=kind == "hb-rep").report
+    assert report["crossings"] == report["folded"] == 0
+    assert report["quadrilaterals"] > 500
+    assert report["max_distance"] <= 2e-5
