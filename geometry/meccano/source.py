@@ -64,7 +64,7 @@ Index = NDArray[np.int64]
 
 name = NAME
 
-MANY_BLOCKS = (150, 16)
+MANY_BLOCKS = (500, 16)
 """Meccanos of more blocks start with one cell in each, with 2^3, or else with 4^3."""
 
 DEAR = 0.3
