@@ -120,8 +120,8 @@ def load(path: str | Path) -> Domain:
     except (OSError, EOFError, KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, MemoryError,
             zipfile.BadZipFile, RecursionError, NotImplementedError) as error:
         raise FormatError(f"{path} is not a saved domain ({type(error).__name__}: {error})".splitlines()[0]) from None
-    except Exception as error:  # zlib.error and struct.error have no common base
-        if type(error).__module__ not in ("zlib", "struct"):
+    except Exception as error:  # zlib.error, struct.error and tokenize.TokenError (of array headers) share no base
+        if type(error).__module__ not in ("zlib", "struct", "tokenize"):
             raise
         raise FormatError(f"{path} is damaged ({error})") from None
     return domain

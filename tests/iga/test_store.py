@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +87,16 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("store") / "d.npz"
     save(everything(), path)
     return path.read_bytes()
+
+
+def test_open_header_of_an_array_is_one_line(image: bytes, tmp_path: Path) -> None:
+    # The header of an array is Python text, which NumPy gives to a tokenizer.
+    path = tmp_path / "d.npz"
+    with zipfile.ZipFile(io.BytesIO(image)) as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name).replace(b"}", b"(", 1) if name == "points.npy" else old.read(name))
+    with pytest.raises(FormatError, match="is damaged"):
+        load(path)
 
 
 @settings(max_examples=150, deadline=None)
