@@ -25,7 +25,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.triangle import certified, make_phi, triangle_map
+from geometry.hybrid.triangle import certified, make_phi, right_corner, triangle_map
 from geometry.hybrid.trimming import FLAT, Trimming, solve_monotone, split_segments, xi_at
 from iga.errors import InputError
 
@@ -127,8 +127,7 @@ def _legs(trimming: Trimming, lines: tuple[Array, ...], depth: float, shrink: Ar
     if small.all(axis=1).any():
         raise InputError("a trimming curve has a segment without length")
     sign = np.sign(step)
-    same = sign[:, 0] * sign[:, 1] > 0  # then q0 = (xi of start, eta of end)
-    q0 = np.where(same[:, None], np.stack([start[:, 0], end[:, 1]], 1), np.stack([end[:, 0], start[:, 1]], 1))
+    q0 = right_corner(start, end)
     way = np.stack([q0 - start, q0 - end], axis=1)
     length = np.abs(way).sum(axis=2)
     way = np.sign(np.where(np.abs(way) > 10 * reach, way, 0.0))

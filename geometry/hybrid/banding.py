@@ -25,11 +25,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from geometry.hybrid.band import reach_of, right_angles, tangent
 from geometry.hybrid.chart import Chart, lengths_of, to_chart
-from geometry.hybrid.triangle import certified, make_phi, triangle_map
+from geometry.hybrid.triangle import certified, make_phi, right_corner, triangle_map
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -47,8 +46,6 @@ DEPTH = 0.6
 """Share of the way to the next line that a rectangle between two others may take."""
 STRAIGHT = 1e-7
 """Extent, relative to the face, below which a piece follows a parameter line."""
-NEAR = 1e-7
-"""Distance, relative to the face, below which two points are one."""
 _T = np.linspace(0.0, 1.0, 9)
 _PROBES = np.array([(i / 7, j / 7) for i in range(8) for j in range(8 - i)])
 _PROBES = (1.0 - 6e-3) * _PROBES + 2e-3
@@ -100,7 +97,7 @@ def band_elements(
     chart : of the face, to see shapes.
     """
     plane = _straightened(plane)
-    corner = _corner_of(plane)
+    corner = right_corner(plane[:, 0], plane[:, 3])
     slender = _slender(chart, plane, corner)
     scale = lengths_of(chart)
     plane, cells, lines = plane * scale, cells * scale, (lines[0] * scale[0], lines[1] * scale[1])
@@ -148,13 +145,6 @@ def _straightened(plane: Array) -> Array:
     for d in range(2):
         plane[thin[:, d], :, d] = plane[thin[:, d], :1, d]
     return plane
-
-
-def _corner_of(plane: Array) -> Array:
-    """Right-angle corners (s, 2) on the left of monotone pieces."""
-    start, end = plane[:, 0], plane[:, 3]
-    rising = (np.prod(end - start, axis=1) > 0)[:, None]
-    return np.where(rising, np.stack([start[:, 0], end[:, 1]], 1), np.stack([end[:, 0], start[:, 1]], 1))
 
 
 def _slender(chart: Chart, plane: Array, corner: Array) -> Mask:
@@ -299,21 +289,3 @@ def _holds(polygon: Array, points: Array) -> Mask:
     rise = np.where(end[:, 1] == start[:, 1], 1.0, end[:, 1] - start[:, 1])
     at = start[:, 0] + (points[:, 1, None] - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
     return np.asarray((crossed & (at > points[:, :1])).sum(axis=1) % 2 == 1)
-
-
-
-
-def joined(points: Array, new: Array, scale: Array) -> tuple[Index, Array]:
-    """Numbers (k,) of new points (k, 2) among points (n, 2), and all points, those that are near to one before once.
-
-    ``scale``: lengths (2,) of unit steps.
-    """
-    everything = np.concatenate([points, new])
-    reach = NEAR * float(np.linalg.norm(np.ptp(everything * scale, axis=0)))
-    pairs = cKDTree(everything * scale).query_pairs(reach, output_type="ndarray")
-    first = np.arange(len(everything))
-    for a, b in sorted(map(sorted, pairs.tolist()), key=lambda pair: pair[0]):
-        if b >= len(points):
-            first[b] = min(first[b], first[a])
-    own = np.unique(first)
-    return np.searchsorted(own, first[len(points) :]), everything[own]

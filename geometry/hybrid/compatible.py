@@ -14,7 +14,8 @@ Axis letters: d parameter direction, k sample.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +111,7 @@ def crossings(c: Coedge, lines: tuple[Array, ...]) -> list[float]:
         x = np.unique(lines[d])
         reach = 10 * ALONG * (x[-1] - x[0])
         for line in x[(x > p[:, d].min() + reach) & (x < p[:, d].max() - reach)].tolist():
-            found += _zeros(t, p[:, d] - line, lambda s, d=d, line=line: curve_points(c.curve, s)[:, d] - line)
+            found += _zeros(t, p[:, d] - line, partial(_offset, c, d, line))
     return found
 
 
@@ -125,15 +126,23 @@ def turns(c: Coedge, surface: Patch) -> list[float]:
     for d in range(2):
         if scale[d] > SAME * np.ptp(surface.knots[d]):
             own = np.where(np.abs(slope[:, d]) > SAME * scale[d], slope[:, d], 0.0)
-            found += _zeros(t, own, lambda s, d=d: curve_tangents(c.curve, s)[:, d])
+            found += _zeros(t, own, partial(_slope, c, d))
     return found
+
+
+def _offset(c: Coedge, d: int, line: float, t: Array) -> Array:
+    return curve_points(c.curve, t)[:, d] - line
+
+
+def _slope(c: Coedge, d: int, t: Array) -> Array:
+    return curve_tangents(c.curve, t)[:, d]
 
 
 def _samples(c: Coedge) -> Array:
     return np.unique(np.concatenate([np.linspace(0.0, 1.0, SAMPLES), c.curve.knots]))
 
 
-def _zeros(t: Array, value: Array, of: object) -> list[float]:
+def _zeros(t: Array, value: Array, of: Callable[[Array], Array]) -> list[float]:
     """Places in (0, 1) where a function changes sign, from its values at samples, by bisection."""
     sign = np.sign(value)
     some = np.flatnonzero(sign)
@@ -144,6 +153,6 @@ def _zeros(t: Array, value: Array, of: object) -> list[float]:
     low, high, rising = t[first], t[after], sign[after] > 0
     for _ in range(54):
         middle = 0.5 * (low + high)
-        below = (of(middle) < 0.0) == rising  # type: ignore[operator]
+        below = (of(middle) < 0.0) == rising
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     return [s for s in (0.5 * (low + high)).tolist() if SAME < s < 1.0 - SAME]

@@ -16,9 +16,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from geometry.cad.brep import Brep, Face, surface_frame
-from geometry.hybrid.banding import Banding, band_elements, joined
+from geometry.hybrid.banding import Banding, band_elements
 from geometry.hybrid.chart import Chart, lengths_of, to_chart, to_parameters
 from geometry.hybrid.grid import ALONG, Grid, followed
 from geometry.hybrid.outline import FaceError, Outline, Sides, cut_out, outline_of, regions
@@ -34,6 +35,9 @@ Mask = NDArray[np.bool_]
 SMOOTH = 2.3
 """Boundary vertices with a larger angle (radians) inside the face must not be the tip of an ear."""
 _AROUND = ((0, 0), (1, 0), (1, 1), (0, 1))
+
+NEAR = 1e-7
+"""Distance, relative to the face, below which two points are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +213,7 @@ def _banded(
     ring = np.stack([np.stack([(band.low, band.high)[a][:, 0], (band.low, band.high)[b][:, 1]], axis=1)
                      for a, b in _AROUND], axis=1)
     new = np.concatenate([band.corner, ring.reshape(-1, 2)])
-    names, uv = joined(uv, new, lengths_of(chart))
+    names, uv = _joined(uv, new, lengths_of(chart))
     t = len(band.segment)
     corners = np.column_stack([band.segment, following[band.segment], names[:t]])
     return grid, np.concatenate([nodes, names[t:].reshape(-1, 4)]), uv[len(outline.uv) :], corners, band
@@ -307,3 +311,19 @@ def _frame(face: Face, chart: Chart, at: Array, middle: Array) -> tuple[Array, A
         _, du, dv = surface_frame(face.surface, to_parameters(chart, at + 1e-4 * (middle - at)))
         n[flat] = np.cross(du, dv)[flat]
     return x, n / (np.linalg.norm(n, axis=1)[:, None] + 1e-300)
+
+
+def _joined(points: Array, new: Array, scale: Array) -> tuple[Index, Array]:
+    """Numbers (k,) of new points (k, 2) among points (n, 2), and all points, those that are near to one before once.
+
+    ``scale``: lengths (2,) of unit steps.
+    """
+    everything = np.concatenate([points, new])
+    reach = NEAR * float(np.linalg.norm(np.ptp(everything * scale, axis=0)))
+    pairs = cKDTree(everything * scale).query_pairs(reach, output_type="ndarray")
+    first = np.arange(len(everything))
+    for a, b in sorted(map(sorted, pairs.tolist()), key=lambda pair: pair[0]):
+        if b >= len(points):
+            first[b] = min(first[b], first[a])
+    own = np.unique(first)
+    return np.searchsorted(own, first[len(points) :]), everything[own]

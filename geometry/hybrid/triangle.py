@@ -45,6 +45,12 @@ CURVE = np.array([_ROWS.index((3 - k, k)) for k in range(4)])
 """Functions of the trimming edge from pa to pb."""
 
 
+def right_corner(start: Array, end: Array) -> Array:
+    """Right-angle corners (s, 2) on the left of monotone pieces from start (s, 2) to end (s, 2)."""
+    rising = ((end - start)[:, 0] * (end - start)[:, 1] > 0)[:, None]
+    return np.where(rising, np.stack([start[:, 0], end[:, 1]], 1), np.stack([end[:, 0], start[:, 1]], 1))
+
+
 def make_phi(q0: Array, curve: Array, kind: Phi = "blend") -> Array:
     """Control points (t, 10, 2) of phi.
 

@@ -340,12 +340,9 @@ def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progres
 
 def poor(solid: Solid) -> Mask:
     """(n,) functions that act on badly shaped elements."""
-    bad, first = least_of_elements(solid.domain) < _POOR, 0
-    mask = np.zeros(solid.space.space.n, dtype=bool)
-    for block in solid.space.space.blocks:
-        mask[block.dofs[bad[first : first + block.elements]]] = True
-        first += block.elements
-    return mask
+    first = np.cumsum([0, *(block.elements for block in solid.space.space.blocks)])
+    block, element = solid.space.element.T
+    return acting(solid, least_of_elements(solid.domain)[first[block] + element] < _POOR)
 
 
 def sizes_of(solid: Solid) -> Array:
