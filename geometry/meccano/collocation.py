@@ -55,7 +55,7 @@ def collocation(own: Hierarchy, block: Index, xi: Array, derivative: tuple[int, 
     for d in range(own.tmesh.dim):
         order = derivative[d] if derivative else 0
         values = bernstein(LINE, own.degree).tabulate(local[:, d : d + 1], order)[order]
-        factors[:, d] = np.ldexp(values.reshape(len(cells), -1), order * level[:, None])
+        factors[:, d] = np.ldexp(values.reshape(len(cells), own.degree + 1), order * level[:, None])
     return _rows(own, cells, factors)
 
 

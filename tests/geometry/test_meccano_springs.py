@@ -91,6 +91,13 @@ def test_facets_that_cannot_move_have_no_springs():
     assert (np.asarray(part.A @ free.astype(float)) != 0.0).sum() == moved.sum()
 
 
+def test_where_nothing_may_be_pulled_there_are_no_springs():
+    skin, points = _cube()
+    tether = springs_to(ball(8), skin, 0.01, 1.0, free=np.zeros(len(points), dtype=bool))(points)
+    assert tether.A.shape == (0, len(points))
+    assert tether.places.shape == tether.normals.shape == (0, 3)
+
+
 def _cube():
     """A skin of the straight cube [-1, 1]^3 and its control points."""
     space = hierarchy(uniform(pillowed(cube()), 1, 1))
