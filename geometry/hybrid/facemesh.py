@@ -213,7 +213,7 @@ def _banded(
     ring = np.stack([np.stack([(band.low, band.high)[a][:, 0], (band.low, band.high)[b][:, 1]], axis=1)
                      for a, b in _AROUND], axis=1)
     new = np.concatenate([band.corner, ring.reshape(-1, 2)])
-    names, uv = _joined(uv, new, lengths_of(chart))
+    names, uv = joined(uv, new, lengths_of(chart))
     t = len(band.segment)
     corners = np.column_stack([band.segment, following[band.segment], names[:t]])
     return grid, np.concatenate([nodes, names[t:].reshape(-1, 4)]), uv[len(outline.uv) :], corners, band
@@ -313,7 +313,7 @@ def _frame(face: Face, chart: Chart, at: Array, middle: Array) -> tuple[Array, A
     return x, n / (np.linalg.norm(n, axis=1)[:, None] + 1e-300)
 
 
-def _joined(points: Array, new: Array, scale: Array) -> tuple[Index, Array]:
+def joined(points: Array, new: Array, scale: Array) -> tuple[Index, Array]:
     """Numbers (k,) of new points (k, 2) among points (n, 2), and all points, those that are near to one before once.
 
     ``scale``: lengths (2,) of unit steps.

@@ -14,10 +14,10 @@ pytest.importorskip("OCP")
 from geometry.cad.brep import Brep, curve_points, curve_tangents, surface_points
 from geometry.hybrid import shapes
 from geometry.hybrid import skin as skins
-from geometry.hybrid.banding import band_elements, joined
+from geometry.hybrid.banding import band_elements
 from geometry.hybrid.chart import make_chart, to_parameters
 from geometry.hybrid.compatible import compatible_cuts, line_cuts, with_cuts, with_missing
-from geometry.hybrid.facemesh import FaceMesh
+from geometry.hybrid.facemesh import FaceMesh, joined
 from geometry.hybrid.grid import followed
 from geometry.hybrid.sealing import Sealed, seal
 from geometry.hybrid.splining import Splined, on_lines, splined
