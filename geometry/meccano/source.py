@@ -22,7 +22,8 @@ r"""The geometry source "meccano": closed surface triangulations as spline volum
                 `blocks.Blocks.boundary_sides` of a polycube) that each triangle belongs to
     cuboids     the polycube as boxes i,j,k,I,J,K; .. of whole numbers, lowest and highest corner of each (default:
                 found); the grid is fitted to the surface's bounding box
-    mend        repair small defects of the surface first (default false)
+    mend        repair small defects of the surface first: doubled points, degenerate triangles, orientation, holes,
+                triangles that cross each other (default false)
 
 The surface is divided into one patch for each boundary side of the meccano, each patch is laid on its side by mean
 values, and the solid is grown into that map (`solid`). Refinement is exact.

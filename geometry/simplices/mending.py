@@ -1,8 +1,12 @@
-"""Mend small defects of a surface triangulation: doubled points, degenerate triangles, orientation (VTK), and holes.
+"""Mend small defects of a surface triangulation: doubled points, degenerate triangles, orientation (VTK), holes, and
+triangles that cross each other.
 
 Shapes are changed only where something was wrong: points that are equal to rounding are merged if the surface is open
 or has degenerate triangles, holes are filled (`filling`) if no vertex around them is farther from their middle than a
 stated part of the diagonal. VTK fills holes too, but leaves curled ones open or fills them across the surface.
+
+Triangles that cross are taken away, with those that share a vertex with them, as long as they are a small part of the
+surface, and the holes are filled.
 """
 
 from __future__ import annotations
@@ -12,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.simplices.crossing import crossing_pairs
 from geometry.simplices.filling import filled, holes
-from geometry.simplices.surface import degenerate
+from geometry.simplices.surface import Surface, degenerate, shells_of
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -23,6 +28,9 @@ Index = NDArray[np.int64]
 LARGEST_HOLE = 0.25
 SAME = 1e-9
 MOST_VERTICES = 1000
+#: Part of the surface's area that may be filled anew because it crossed itself, and how often that is tried.
+MOST_CROSSING = 0.05
+ROUNDS = 4
 
 
 def mended(points: Array, triangles: Index) -> tuple[Array, Index, dict[str, Any]]:
@@ -48,34 +56,67 @@ def mended(points: Array, triangles: Index) -> tuple[Array, Index, dict[str, Any
         "merged_vertices": max(len(np.unique(triangles)) - clean.n_points, 0),
         "removed_triangles": len(triangles) - clean.n_faces,
     }
-    closed, found = _closed(_oriented(clean, outwards=False), LARGEST_HOLE * diagonal)
-    whole = _triangles_only(_oriented(closed, outwards=True))
-    report = {"mended": {what: count for what, count in (done | found).items() if count}}
-    return np.asarray(whole.points, dtype=float), np.asarray(whole.regular_faces, dtype=np.int64), report
+    alike = _oriented(clean, outwards=False)
+    places = np.asarray(alike.points, dtype=float)
+    closed, found = _filled(places, np.asarray(alike.regular_faces, dtype=np.int64), LARGEST_HOLE * diagonal)
+    whole = _oriented(pyvista.PolyData.from_regular_faces(places, closed.astype(int)), outwards=True)
+    whole = _triangles_only(whole)
+    table = np.asarray(whole.regular_faces, dtype=np.int64)
+    crossing: dict[str, Any] = {}
+    if not found["holes_left_open"]:
+        table, crossing = _uncrossed(np.asarray(whole.points, dtype=float), table)
+    report = {"mended": {what: count for what, count in (done | found | crossing).items() if count}}
+    return np.asarray(whole.points, dtype=float), table, report
 
 
-def _closed(mesh: Any, radius: float) -> tuple[Any, dict[str, Any]]:
-    """The mesh with holes up to a radius filled, and how many, of how many edges, with what, and what stays open."""
-    import pyvista
+def _uncrossed(points: Array, triangles: Index) -> tuple[Index, dict[str, Any]]:
+    """Triangles without those that cross, holes filled, and what was done; as they are where that does not succeed."""
+    table, removed = triangles, 0
+    for _ in range(ROUNDS):
+        pairs = crossing_pairs(points, table)
+        if not len(pairs):
+            return table, {"removed_crossing_triangles": removed}
+        near = np.zeros(len(points), dtype=bool)
+        near[table[pairs.ravel()]] = True
+        kept = table[~near[table].any(axis=1)]
+        if not len(kept):
+            break
+        # Crumbs that are cut off go too.
+        part = Surface(points, kept)
+        shell = shells_of(part.edge_of, len(part.edges))
+        main = shell == np.bincount(shell).argmax()
+        if _area(points, kept[~main]) > MOST_CROSSING * _area(points, kept):
+            break
+        kept = kept[main]
+        removed += len(table) - len(kept)
+        table, report = _filled(points, kept, np.inf)
+        if report["holes_left_open"] or report["added_area"] > MOST_CROSSING * _area(points, table):
+            break
+    return triangles, {}
 
-    points, triangles = np.asarray(mesh.points, dtype=float), np.asarray(mesh.regular_faces, dtype=np.int64)
+
+def _filled(points: Array, triangles: Index, radius: float) -> tuple[Index, dict[str, Any]]:
+    """Triangles with holes up to a radius filled, and how many, of how many edges, with what, and what stays open."""
     found, count, edges = holes(points, triangles), 0, 0
     parts = [triangles]
     for hole in found:
         around = points[hole.loop]
-        size = np.linalg.norm(around - around.mean(axis=0), axis=1).max()
         made = None
-        if size <= radius and len(around) <= MOST_VERTICES:
+        if np.linalg.norm(around - around.mean(axis=0), axis=1).max() <= radius and len(around) <= MOST_VERTICES:
             made = filled(points, np.concatenate(parts), hole)
         if made is not None:
             parts.append(made)
             count, edges = count + 1, edges + len(around)
-    new = points[np.concatenate([triangles[:0], *parts[1:]])]
-    area = float(np.linalg.norm(np.cross(new[:, 1] - new[:, 0], new[:, 2] - new[:, 0]), axis=1).sum()) / 2.0
-    return pyvista.PolyData.from_regular_faces(points, np.concatenate(parts).astype(int)), {
-        "filled_holes": count, "edges_around_them": edges, "added_triangles": len(new), "added_area": area,
-        "holes_left_open": len(found) - count,
+    new = np.concatenate([triangles[:0], *parts[1:]])
+    return np.concatenate(parts), {
+        "filled_holes": count, "edges_around_them": edges, "added_triangles": len(new),
+        "added_area": _area(points, new), "holes_left_open": len(found) - count,
     }
+
+
+def _area(points: Array, triangles: Index) -> float:
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2.0
 
 
 def _oriented(mesh: Any, outwards: bool) -> Any:

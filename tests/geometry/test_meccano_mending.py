@@ -124,6 +124,33 @@ def test_mending_says_what_it_did(tmp_path):
     assert len(surface.triangles) == len(turned) + edges - 4
 
 
+@pytest.mark.parametrize("level", [1, 4])
+def test_a_spike_through_the_surface_is_cut_off(tmp_path, level):
+    """As long as it takes little of the surface with it."""
+    points, triangles = ball(level)
+    whole = volume(Surface(points, triangles))
+    points[np.argmax(points[:, 2])] = (0, 0, -3)
+    path = write(tmp_path / "spike.off", points, triangles)
+    with pytest.raises(InputError, match="cross each other"):
+        read_surface(path)
+    if level == 1:
+        with pytest.raises(InputError, match=r"cross each other .*does not intersect itself"):
+            read_surface(path, mend=True)
+        return
+    surface, report = read_surface(path, mend=True)
+    assert np.abs(surface.points).max() <= 1.0
+    assert abs(report["volume"] / whole - 1.0) < 0.01
+    assert report["mended"]["removed_crossing_triangles"] > 0
+
+
+def test_two_balls_that_cross_are_not_one(tmp_path):
+    points, triangles = ball(3)
+    moved = points + np.array([1.9, 0.05, 0.03])
+    path = write(tmp_path / "two.off", np.concatenate([points, moved]), np.concatenate([triangles, triangles + 258]))
+    with pytest.raises(InputError, match="2 shells"):
+        read_surface(path, mend=True)
+
+
 def test_large_holes_stay_open(tmp_path):
     points, triangles = ball(3)
     half = points[triangles].mean(axis=1)[:, 2] < 0
@@ -161,6 +188,17 @@ def test_loops_are_closed_and_simple():
 def _packed(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     used = np.unique(triangles)
     return points[used], np.searchsorted(used, triangles)
+
+
+def test_the_cow_crosses_itself_twice(data):
+    path = data / "surface" / "cow.off"
+    with pytest.raises(InputError, match="cross each other"):
+        read_surface(path)
+    _, before = read_surface(path, crossings=True)
+    _, report = read_surface(path, mend=True)
+    assert report["genus"] == 0
+    assert abs(report["volume"] / before["volume"] - 1.0) < 0.01
+    assert report["mended"] == {"removed_crossing_triangles": 232}
 
 
 @pytest.mark.long
