@@ -169,9 +169,14 @@ class Shaping:
         return np.array([*(xi[:2] if xi[2] < 1.0 else np.zeros(2)), 1.0 - 1e-6])
 
     def minimise(
-        self, points: Array, open_: Mask, seen: Index, iterations: int, repeats: int = 6
+        self, points: Array, open_: Mask, seen: Index, iterations: int, repeats: int = 6, folds: bool = True
     ) -> tuple[Array, float]:
-        """Steps of the columns (m, 3) by descent over the open ones, and the smallest det S at samples of ``seen``."""
+        """Steps of the columns (m, 3) by descent over the open ones, and the smallest det S at samples of ``seen``.
+
+        Parameters
+        ----------
+        folds : whether elements may fold on the way; if not, only those are regularised that are folded at the start.
+        """
         columns = np.flatnonzero(open_)
         group, groups = self._groups(columns, seen)
         batches, used = self._batches(seen, group)
@@ -204,7 +209,7 @@ class Shaping:
         z = np.zeros(3 * len(columns))
         low = lowest(z)
         for _ in range(repeats):
-            folded = low < EPSILON
+            folded = low < (EPSILON if folds else 0.0)
             delta = np.where(folded, np.sqrt(EPSILON * np.where(folded, EPSILON - low, 0.0)), 0.0)
             z = descend(energy, z, iterations).x
             before, low = low, lowest(z)

@@ -127,14 +127,15 @@ def smooth(
     depth: int = 6,
     tether: Tether | Sequence[Tether] | Callable[[Array], Tether] | None = None,
     repairs: int = 2,
+    folds: bool = True,
     shown: Progress = QUIET,
 ) -> Untangled:
     """Improve the shapes of all elements of a valid domain, which stays valid; parameters as in `untangle`.
 
     Each round descends with all free control points. Groups of elements whose samples stay above det S = 0.05 cannot
-    fold there; the others are regularised, and may. Elements that are then not certified are untangled; around those
-    that resist, control points go back towards where they were, in halves, until all are certified. Elements invalid at
-    the start are left alone, with their surroundings.
+    fold there; the others are regularised, and may, if they shall. Elements that are then not certified are untangled;
+    around those that resist, control points go back towards where they were, in halves, until all are certified.
+    Elements invalid at the start are left alone, with their surroundings.
 
     Parameters
     ----------
@@ -143,6 +144,8 @@ def smooth(
         is drawn to a place that it could not reach in one step. Or a function that gives the springs of a round for the
         control points at its start.
     repairs : most times that elements are untangled in a round.
+    folds : whether elements may fold on the way. Where springs pull hard, regularised elements end nearly folded, and
+        then hold back all around them.
     """
     tethers: list[Tether | Callable[[Array], Tether] | None]
     if tether is None or isinstance(tether, Tether) or callable(tether):
@@ -159,7 +162,7 @@ def smooth(
         task.tether = own(points) if callable(own) else own
         if shapes is None and number:
             task.shape(own_shapes(replace(domain, points=points)))
-        step, least = task.minimise(points, open_, seen, iterations)
+        step, least = task.minimise(points, open_, seen, iterations, folds=folds)
         step = task.mended(points, step, open_, seen, depth, repairs)
         points, count = task.advanced(points, step, seen, depth)
         history.append(Round(count, int(open_.sum()), len(seen), least))

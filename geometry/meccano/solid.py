@@ -255,13 +255,22 @@ def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None)
     if free is None:
         off = np.zeros(solid.space.tmesh.cells, dtype=bool)
         off[solid.skin.cell[state.errors.worst > tolerance]] = True
-        free = acting(solid, off)
-    led = state.aim if softness > _LEADING else None
-    springs = springs_to(task.surface, solid.skin, tolerance, softness, led, free)
+        # Elements under what is off must make way for it.
+        free = acting(solid, moved(solid, acting(solid, off)))
+    springs = springs_to(task.surface, solid.skin, tolerance, softness, state.aim, free, softness > _LEADING)
     found = smooth(
-        solid.domain, free, rounds=_TURNS, iterations=_SLIDE, power=_POWER, tether=springs, repairs=1, shown=task.shown
+        solid.domain, free, rounds=_TURNS, iterations=_SLIDE, power=_POWER, tether=springs, repairs=1, folds=False,
+        shown=task.shown,
     )
     return _measured(task, replace(solid, points=found.points, invalid=found.invalid), state.aim)
+
+
+def moved(solid: Solid, functions: Mask) -> Mask:
+    """(c,) leaf cells that some functions (n,) act on."""
+    hit = [functions[block.dofs].any(axis=1) for block in solid.space.space.blocks]
+    first = np.cumsum([0, *(len(own) for own in hit)])
+    number, element = solid.space.element.T
+    return np.asarray(np.concatenate(hit)[first[number] + element])
 
 
 def acting(solid: Solid, cells: Mask) -> Mask:
@@ -290,8 +299,8 @@ _LEADING = 2.0
 _PROGRESS = 0.8
 _LIMB = 3.0
 # Of each slide: rounds, steps of descent, power of the mean ratio. At the end, the scaled Jacobian of poor shapes.
-_TURNS = 2
-_SLIDE = 30
+_TURNS = 6
+_SLIDE = 40
 _POWER = 4.0
 _POOR = 0.3
 # Refinement: facets off by this share of the worst at least, most cells for each cell.

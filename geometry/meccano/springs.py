@@ -5,8 +5,13 @@ the surface pulls the boundary where that is closest to it, which draws limbs ou
 
 Closest points lie on the wrong sheet where the solid is still far off: a membrane between two ears is held by their
 flanks, and never gives way. So a sheet is believed only if it faces the same way, within `FACING`, or if it is nearer
-than the tolerance. Samples of the boundary then take the closest point among triangles that do; samples of the surface
-wait.
+than the tolerance. Samples of the boundary may take the closest point among triangles that do, if that is not much
+farther off.
+
+Samples without a sheet that they can believe, and all that are far off, follow the map of the boundary, which has the
+right topology: samples of the boundary are drawn to where the map puts them, samples of the surface draw the point that
+the map puts there. These springs pull in all directions alike, with a force that is bounded (the weights of Huber's
+norm), so that a web between two limbs gives way without crushing the elements under it.
 
 Axis letters: n function, f facet, q sample point, k spring, c component.
 """
@@ -14,11 +19,12 @@ Axis letters: n function, f facet, q sample point, k spring, c component.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
+from scipy.spatial import cKDTree
 
 from geometry.meccano.errors import feet, surface_samples, unit_normals
 from geometry.meccano.skin import Skin, facet_rule, outward, values_at, values_on
@@ -42,10 +48,24 @@ ALONG = 0.01
 _SPACING = 0.02
 _HOLD = 0.25
 _LED = 0.1
+_FAR = 3.0
+_SIDES = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class _Pulls:
+    """Springs from points A P to places; lost ones follow the map."""
+
+    A: csr_array
+    places: Array
+    normals: Array
+    weights: Array
+    lost: Mask
 
 
 def springs_to(
-    surface: Surface, skin: Skin, tolerance: float, softness: float, aim: Array | None = None, free: Mask | None = None
+    surface: Surface, skin: Skin, tolerance: float, softness: float, aim: Array, free: Mask | None = None,
+    led: bool = False,
 ) -> Callable[[Array], Tether]:
     """Springs for control points (n, 3).
 
@@ -53,42 +73,64 @@ def springs_to(
     ----------
     tolerance : wanted distance; an energy of one is reached at a quarter of it, times ``softness``.
     softness : soft springs carry the boundary far, stiff ones bring it near.
-    aim : (f q, 3) where the map puts samples of the facets; if given, it leads them there as well.
+    aim : (f q, 3) where the map puts samples of the facets.
     free : (n,) functions that may move, all by default; other facets have no springs.
+    led : whether the map leads all samples a little.
     """
     hold = softness * tolerance
     there, normals = surface_samples(surface, _SPACING)
+    facing = unit_normals(surface)
     touched = np.ones(len(skin.cell), dtype=bool) if free is None else _touched(skin, free)
     own = np.repeat(touched, len(SAMPLES))
-    A = csr_array(values_at(skin, SAMPLES)[own])
+    A, aims = csr_array(values_at(skin, SAMPLES)[own]), aim[own]
+    back = _laid_there(surface, aim, there, normals)
+
+    def from_boundary(points: Array) -> _Pulls:
+        x = A @ points
+        near, triangle, lost = _believed(surface, x, outward(skin, points, SAMPLES)[own], tolerance)
+        lost |= np.linalg.norm(near - x, axis=1) > _FAR * tolerance
+        near[lost] = aims[lost]
+        return _Pulls(A, near, facing[triangle], np.full(len(x), 1.0 / len(SAMPLES)), lost)
+
+    def from_surface(points: Array) -> _Pulls:
+        facet, u, missed, ways = feet(skin, points, there)
+        lost = (missed > _FAR * tolerance) | ((missed > tolerance) & ((ways * normals).sum(axis=1) < FACING))
+        sample = back[lost]
+        facet[lost], u[lost] = sample // len(SAMPLES), SAMPLES[sample % len(SAMPLES)]
+        each = np.bincount(facet, minlength=len(skin.cell))[facet]
+        mine = touched[facet]
+        return _Pulls(values_on(skin, facet[mine], u[mine]), there[mine], normals[mine], 1.0 / each[mine], lost[mine])
 
     def springs(points: Array) -> Tether:
-        near, triangle = _believed(surface, A @ points, outward(skin, points, SAMPLES)[own], tolerance)
-        facet, u, missed, ways = feet(skin, points, there)
-        each = np.bincount(facet, minlength=len(skin.cell))[facet]
-        trusted = touched[facet] & ((missed <= tolerance) | ((ways * normals).sum(axis=1) >= FACING))
-        B = values_on(skin, facet[trusted], u[trusted])
-        places, across = there[trusted], normals[trusted]
-        # What is missed by far, the tip of a limb, pulls towards itself.
-        far, way = missed[trusted] > hold, places - B @ points
-        across[far] = way[far] / np.linalg.norm(way[far], axis=1, keepdims=True)
-        made = Tether(
-            csr_array(vstack([A, B])), np.concatenate([near, places]),
-            np.concatenate([unit_normals(surface)[triangle], across]),
-            np.concatenate([(triangle >= 0) / len(SAMPLES), 1.0 / each[trusted]]) / (_HOLD * hold) ** 2, ALONG,
+        pulls = [_bounded(made, points, hold) for made in (from_boundary(points), from_surface(points))]
+        if led:
+            weights = np.full(len(aims), _LED / ALONG / len(SAMPLES))
+            pulls.append(_Pulls(A, aims, np.zeros_like(aims), weights, np.ones(len(aims), dtype=bool)))
+        return Tether(
+            csr_array(vstack([made.A for made in pulls])), np.concatenate([made.places for made in pulls]),
+            np.concatenate([made.normals for made in pulls]),
+            np.concatenate([made.weights for made in pulls]) / (_HOLD * hold) ** 2, ALONG,
         )
-        return made if aim is None else _led(made, A, aim[own], _LED / ALONG / len(SAMPLES) / (_HOLD * hold) ** 2)
 
     return springs
 
 
-def _led(tether: Tether, A: csr_array, aim: Array, weight: float) -> Tether:
-    """Springs that lead samples A P to places (k, 3) as well."""
-    return replace(
-        tether, A=csr_array(vstack([tether.A, A])), places=np.concatenate([tether.places, aim]),
-        normals=np.concatenate([tether.normals, np.zeros_like(aim)]),
-        weights=np.concatenate([tether.weights, np.full(len(aim), weight)]),
-    )
+def _bounded(pulls: _Pulls, points: Array, hold: float) -> _Pulls:
+    """The same, but those lost pull in all directions alike, with no more force than at a distance of ``hold``."""
+    lost = pulls.lost
+    far = np.linalg.norm(pulls.A[lost] @ points - pulls.places[lost], axis=1)
+    normals, weights = pulls.normals.copy(), pulls.weights.copy()
+    normals[lost] = 0.0
+    weights[lost] *= np.minimum(1.0, hold / np.maximum(far, 1e-300)) / ALONG
+    return replace(pulls, normals=normals, weights=weights)
+
+
+def _laid_there(surface: Surface, aim: Array, there: Array, normals: Array) -> Index:
+    """Samples of the facets (k,) that the map puts (f q, 3) nearest to samples of the surface (k, 3), on its side."""
+    facing = unit_normals(surface)[closest(surface.points, surface.triangles, aim)[2]]
+    apart = _SIDES * surface.diagonal
+    tree = cKDTree(np.hstack([aim, apart * facing]))
+    return np.asarray(tree.query(np.hstack([there, apart * normals]))[1], dtype=np.int64)
 
 
 def _touched(skin: Skin, free: Mask) -> Mask:
@@ -97,15 +139,17 @@ def _touched(skin: Skin, free: Mask) -> Mask:
     return np.asarray(rows.reshape(len(skin.cell), -1).any(axis=1))
 
 
-def _believed(surface: Surface, points: Array, ways: Array, near: float) -> tuple[Array, Index]:
+def _believed(surface: Surface, points: Array, ways: Array, near: float) -> tuple[Array, Index, Mask]:
     """Closest points (k, 3) of the surface that are nearer than ``near`` or face as the solid does, and triangles.
 
-    Triangle -1 where there is none.
+    And which points have none, or none that is not `_FAR` times farther off than the surface.
     """
     found, gap, triangle = closest(surface.points, surface.triangles, points)
-    agree = (unit_normals(surface)[triangle] * ways).sum(axis=1)
-    odd = np.flatnonzero((gap > near) & (agree < FACING))
+    lost = (gap > near) & ((unit_normals(surface)[triangle] * ways).sum(axis=1) < FACING)
+    odd = np.flatnonzero(lost)
     if len(odd):
-        place, _, own = closest_facing(surface.points, surface.triangles, points[odd], ways[odd], FACING)
-        found[odd], triangle[odd] = np.where(own[:, None] >= 0, place, points[odd]), own
-    return found, triangle
+        place, away, own = closest_facing(surface.points, surface.triangles, points[odd], ways[odd], FACING)
+        fit = away <= _FAR * gap[odd]
+        found[odd[fit]], triangle[odd[fit]] = place[fit], own[fit]
+        lost[odd[fit]] = False
+    return found, triangle, lost

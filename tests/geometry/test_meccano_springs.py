@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from geometry.layouts.blocks import cube, pillowed, place
 from geometry.meccano.fitting import greville_points
@@ -62,22 +63,42 @@ def test_normals_of_facets_point_out_of_the_solid():
 
 
 def test_a_membrane_across_a_notch_is_drawn_to_its_bottom():
-    """Springs of a lid above the notch pull it down; the points of the surface closest to it lie on the horns."""
+    """Springs of a lid above the notch pull it to where the map puts it; the closest points lie on the horns."""
     surface = horned(32, 1.5, 0.22, 0.6)
     skin, points = _cube()
     points = points * np.array([0.1, 0.1, 0.05]) + np.array([0.0, 0.0, 1.6])
     lid = np.flatnonzero(outward(skin, points, SAMPLES)[:, 2] > 0.9)
     centre = lid[np.abs((values_at(skin, SAMPLES) @ points)[lid, :2]).max(axis=1) < 0.03]
     assert len(centre)
-    tether = springs_to(surface, skin, 1e-3, 1.0)(points)
+    bottom = np.array([0.0, 0.0, 1.0])
+    aim = closest(surface.points, surface.triangles, np.tile(bottom, (len(skin.cell) * len(SAMPLES), 1)))[0]
+    tether = springs_to(surface, skin, 1e-3, 1.0, aim)(points)
     start = (tether.A @ points)[centre]
     _, _, beside = closest(surface.points, surface.triangles, start)
     corners = surface.points[surface.triangles[beside]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (np.abs(normals[:, 2]) < FACING * np.linalg.norm(normals, axis=1)).all()
-    assert (tether.weights[centre] > 0.0).all()
-    assert (tether.normals[centre, 2] > FACING).all()
-    assert (tether.places[centre, 2] < start[:, 2] - 0.1).all()
+    np.testing.assert_array_equal(tether.places[centre], aim[centre])
+    np.testing.assert_array_equal(tether.normals[centre], 0.0)
+    # Forces are bounded: as at the tolerance, in all directions alike.
+    force = tether.along * tether.weights[centre] * np.linalg.norm(start - aim[centre], axis=1)
+    np.testing.assert_allclose(force, 1e-3 / (0.25 * 1e-3) ** 2 / len(SAMPLES), rtol=1e-12)
+
+
+def test_surface_that_no_facet_near_faces_draws_the_facet_that_the_map_puts_there():
+    """A flat box under a ball's top: only its lid faces up, the map puts the whole box on the ball."""
+    surface = ball(16)
+    skin, points = _cube()
+    aim = values_at(skin, SAMPLES) @ points
+    aim /= np.linalg.norm(aim, axis=1, keepdims=True)
+    flat = points * np.array([0.1, 0.1, 0.1])
+    tether = springs_to(surface, skin, 0.01, 1.0, aim)(flat)
+    own = slice(len(aim), None)
+    start = csr_array(tether.A[own]) @ points
+    start /= np.linalg.norm(start, axis=1, keepdims=True)
+    # Each point of the surface draws a point of the box in its own direction, though the box is small.
+    assert len(start)
+    assert ((start * tether.places[own]).sum(axis=1) > 0.97).all()
 
 
 def test_facets_that_cannot_move_have_no_springs():
@@ -85,7 +106,8 @@ def test_facets_that_cannot_move_have_no_springs():
     skin, points = _cube()
     free = np.zeros(len(points), dtype=bool)
     free[skin.functions[:1]] = True
-    whole, part = (springs_to(surface, skin, 0.01, 1.0, free=f)(points) for f in (None, free))
+    aim = values_at(skin, SAMPLES) @ points
+    whole, part = (springs_to(surface, skin, 0.01, 1.0, aim, free=f)(points) for f in (None, free))
     moved = np.asarray(whole.A @ free.astype(float)) != 0.0
     assert 0 < len(part.weights) < len(whole.weights)
     assert (np.asarray(part.A @ free.astype(float)) != 0.0).sum() == moved.sum()
@@ -93,7 +115,8 @@ def test_facets_that_cannot_move_have_no_springs():
 
 def test_where_nothing_may_be_pulled_there_are_no_springs():
     skin, points = _cube()
-    tether = springs_to(ball(8), skin, 0.01, 1.0, free=np.zeros(len(points), dtype=bool))(points)
+    aim = values_at(skin, SAMPLES) @ points
+    tether = springs_to(ball(8), skin, 0.01, 1.0, aim, free=np.zeros(len(points), dtype=bool))(points)
     assert tether.A.shape == (0, len(points))
     assert tether.places.shape == tether.normals.shape == (0, 3)
 
