@@ -267,10 +267,11 @@ def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None)
 
 def moved(solid: Solid, functions: Mask) -> Mask:
     """(c,) leaf cells that some functions (n,) act on."""
-    hit = [functions[block.dofs].any(axis=1) for block in solid.space.space.blocks]
-    first = np.cumsum([0, *(len(own) for own in hit)])
-    number, element = solid.space.element.T
-    return np.asarray(np.concatenate(hit)[first[number] + element])
+    mask = np.zeros(solid.space.tmesh.cells, dtype=bool)
+    for number, block in enumerate(solid.space.space.blocks):
+        mine = solid.space.element[:, 0] == number
+        mask[mine] = functions[block.dofs[solid.space.element[mine, 1]]].any(axis=1)
+    return mask
 
 
 def acting(solid: Solid, cells: Mask) -> Mask:
