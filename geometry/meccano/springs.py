@@ -5,13 +5,13 @@ the surface pulls the boundary where that is closest to it, which draws limbs ou
 
 Closest points lie on the wrong sheet where the solid is still far off: a membrane between two ears is held by their
 flanks, and never gives way. So a sheet is believed only if it faces the same way, within `FACING`, or if it is nearer
-than the tolerance. Samples of the boundary may take the closest point among triangles that do, if that is not much
-farther off.
+than the tolerance. Samples of the boundary then take the closest point among triangles that do.
 
-Samples without a sheet that they can believe, and all that are far off, follow the map of the boundary, which has the
-right topology: samples of the boundary are drawn to where the map puts them, samples of the surface draw the point that
-the map puts there. These springs pull in all directions alike, with a force that is bounded (the weights of Huber's
-norm), so that a web between two limbs gives way without crushing the elements under it.
+Samples without a sheet that they can believe follow the map of the boundary, which has the right topology: samples of
+the boundary are drawn to where the map puts them, samples of the surface draw the point that the map puts there. These
+springs pull in all directions alike, with a force that is bounded (the weights of Huber's norm), so that elements are
+not crushed on long ways. Others do not: where the map is twisted, or has been slid away from, it would tear at what is
+right.
 
 Axis letters: n function, f facet, q sample point, k spring, c component.
 """
@@ -48,7 +48,6 @@ ALONG = 0.01
 _SPACING = 0.02
 _HOLD = 0.25
 _LED = 0.1
-_FAR = 3.0
 _SIDES = 0.1
 
 
@@ -88,13 +87,12 @@ def springs_to(
     def from_boundary(points: Array) -> _Pulls:
         x = A @ points
         near, triangle, lost = _believed(surface, x, outward(skin, points, SAMPLES)[own], tolerance)
-        lost |= np.linalg.norm(near - x, axis=1) > _FAR * tolerance
         near[lost] = aims[lost]
         return _Pulls(A, near, facing[triangle], np.full(len(x), 1.0 / len(SAMPLES)), lost)
 
     def from_surface(points: Array) -> _Pulls:
         facet, u, missed, ways = feet(skin, points, there)
-        lost = (missed > _FAR * tolerance) | ((missed > tolerance) & ((ways * normals).sum(axis=1) < FACING))
+        lost = (missed > tolerance) & ((ways * normals).sum(axis=1) < FACING)
         sample = back[lost]
         facet[lost], u[lost] = sample // len(SAMPLES), SAMPLES[sample % len(SAMPLES)]
         each = np.bincount(facet, minlength=len(skin.cell))[facet]
@@ -142,14 +140,12 @@ def _touched(skin: Skin, free: Mask) -> Mask:
 def _believed(surface: Surface, points: Array, ways: Array, near: float) -> tuple[Array, Index, Mask]:
     """Closest points (k, 3) of the surface that are nearer than ``near`` or face as the solid does, and triangles.
 
-    And which points have none, or none that is not `_FAR` times farther off than the surface.
+    And which points have none.
     """
     found, gap, triangle = closest(surface.points, surface.triangles, points)
-    lost = (gap > near) & ((unit_normals(surface)[triangle] * ways).sum(axis=1) < FACING)
-    odd = np.flatnonzero(lost)
+    lost = np.zeros(len(points), dtype=bool)
+    odd = np.flatnonzero((gap > near) & ((unit_normals(surface)[triangle] * ways).sum(axis=1) < FACING))
     if len(odd):
-        place, away, own = closest_facing(surface.points, surface.triangles, points[odd], ways[odd], FACING)
-        fit = away <= _FAR * gap[odd]
-        found[odd[fit]], triangle[odd[fit]] = place[fit], own[fit]
-        lost[odd[fit]] = False
+        found[odd], _, triangle[odd] = closest_facing(surface.points, surface.triangles, points[odd], ways[odd], FACING)
+        lost[odd] = triangle[odd] < 0
     return found, triangle, lost

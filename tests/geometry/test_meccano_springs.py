@@ -63,40 +63,53 @@ def test_normals_of_facets_point_out_of_the_solid():
 
 
 def test_a_membrane_across_a_notch_is_drawn_to_its_bottom():
-    """Springs of a lid above the notch pull it to where the map puts it; the closest points lie on the horns."""
+    """Springs of a lid above the notch pull it down; the closest points lie on the horns."""
     surface = horned(32, 1.5, 0.22, 0.6)
     skin, points = _cube()
     points = points * np.array([0.1, 0.1, 0.05]) + np.array([0.0, 0.0, 1.6])
     lid = np.flatnonzero(outward(skin, points, SAMPLES)[:, 2] > 0.9)
     centre = lid[np.abs((values_at(skin, SAMPLES) @ points)[lid, :2]).max(axis=1) < 0.03]
     assert len(centre)
-    bottom = np.array([0.0, 0.0, 1.0])
-    aim = closest(surface.points, surface.triangles, np.tile(bottom, (len(skin.cell) * len(SAMPLES), 1)))[0]
+    aim = closest(surface.points, surface.triangles, values_at(skin, SAMPLES) @ points)[0]
     tether = springs_to(surface, skin, 1e-3, 1.0, aim)(points)
     start = (tether.A @ points)[centre]
     _, _, beside = closest(surface.points, surface.triangles, start)
     corners = surface.points[surface.triangles[beside]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (np.abs(normals[:, 2]) < FACING * np.linalg.norm(normals, axis=1)).all()
-    np.testing.assert_array_equal(tether.places[centre], aim[centre])
-    np.testing.assert_array_equal(tether.normals[centre], 0.0)
-    # Forces are bounded: as at the tolerance, in all directions alike.
-    force = tether.along * tether.weights[centre] * np.linalg.norm(start - aim[centre], axis=1)
+    assert (tether.weights[centre] > 0.0).all()
+    assert (tether.normals[centre, 2] > FACING).all()
+    assert (tether.places[centre, 2] < start[:, 2] - 0.1).all()
+
+
+def test_where_no_sheet_faces_that_way_the_map_is_followed_with_bounded_force():
+    """A box far above half a ball: no triangle faces as its lower side does."""
+    whole = ball(8)
+    up = whole.points[whole.triangles][:, :, 2].min(axis=1) > -1e-9
+    surface = Surface(whole.points, whole.triangles[up])
+    skin, points = _cube()
+    points = points + np.array([0.0, 0.0, 5.0])
+    aim = np.tile([0.0, 0.0, 1.0], (len(skin.cell) * len(SAMPLES), 1))
+    tether = springs_to(surface, skin, 1e-3, 1.0, aim)(points)
+    below = np.flatnonzero(outward(skin, points, SAMPLES)[:, 2] < -0.9)
+    way = (tether.A @ points)[below] - aim[below]
+    np.testing.assert_array_equal(tether.places[below], aim[below])
+    np.testing.assert_array_equal(tether.normals[below], 0.0)
+    force = tether.along * tether.weights[below] * np.linalg.norm(way, axis=1)
     np.testing.assert_allclose(force, 1e-3 / (0.25 * 1e-3) ** 2 / len(SAMPLES), rtol=1e-12)
 
 
 def test_surface_that_no_facet_near_faces_draws_the_facet_that_the_map_puts_there():
-    """A flat box under a ball's top: only its lid faces up, the map puts the whole box on the ball."""
+    """A box in a ball that is inside out: none of its facets faces the ball's way, the map says which belongs where."""
     surface = ball(16)
     skin, points = _cube()
     aim = values_at(skin, SAMPLES) @ points
     aim /= np.linalg.norm(aim, axis=1, keepdims=True)
-    flat = points * np.array([0.1, 0.1, 0.1])
-    tether = springs_to(surface, skin, 0.01, 1.0, aim)(flat)
+    tether = springs_to(surface, skin, 0.01, 1.0, aim)(-0.1 * points)
     own = slice(len(aim), None)
     start = csr_array(tether.A[own]) @ points
     start /= np.linalg.norm(start, axis=1, keepdims=True)
-    # Each point of the surface draws a point of the box in its own direction, though the box is small.
+    # Each point of the surface draws the point that the map puts there, though that is on the far side.
     assert len(start)
     assert ((start * tether.places[own]).sum(axis=1) > 0.97).all()
 
