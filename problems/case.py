@@ -6,7 +6,7 @@ A value is a number, a formula in x, y, z (and t where time runs) in quotes, or 
 Heat::
 
     problem = "heat"
-    solver = "auto"                     # or "direct", "cg"; optional
+    solver = "auto"                     # or "direct", "cg", for elasticity "matrix-free"; optional
     quadrature = 4                      # Gauss points per direction; optional
     exact = "1 + x"                     # only to measure the error; optional
 
@@ -157,8 +157,9 @@ def make(table: Mapping[str, Any], domain: Domain) -> Case:
     if exact is not None and not isinstance(exact, str):
         raise InputError("key 'exact' must be a formula in quotes")
     solver = table.get("solver", "auto")
-    if solver not in ("auto", "direct", "cg"):
-        raise InputError(f"solver {solver!r} is unknown; there are: auto, direct, cg")
+    solvers = ("auto", "direct", "cg") if physics == "heat" else ("auto", "direct", "cg", "matrix-free")
+    if solver not in solvers:
+        raise InputError(f"solver {solver!r} is unknown; there are: {', '.join(solvers)}")
     return Case(
         read_problem(sections, domain),
         solver,

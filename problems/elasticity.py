@@ -27,6 +27,9 @@ from iga.domain import Domain
 from iga.errors import InputError
 from iga.field import Field
 from iga.integrands import InitialStrain, Load, Mass, Pressure
+from iga.linear.componentwise import componentwise
+from iga.operator import operator
+from iga.sparsity import sparsity
 from problems.data import Datum, Sample, exclude, freeze, resolve, values
 from problems.material import checked, isotropic
 from problems.rigid import describe_free
@@ -34,6 +37,11 @@ from problems.solution import Quantity, Solution, primary
 from problems.system import Clock, System, freeze_components, modes_of, prescribed
 
 Array = NDArray[np.float64]
+
+LARGE = 300_000_000
+"""Entries of a matrix above which it is not assembled: 3.6 GB, and about three times that to solve with it."""
+LEAN_TOLERANCE = 1e-11
+"""Relative residual of a solution without a matrix, which has no bound of its rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +85,14 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
 
     Parameters
     ----------
-    solver : "auto", "direct" or "cg"
+    solver : "auto", "direct", "cg" or "matrix-free"; auto takes the last where the matrix would have more than `LARGE`
+        entries and the problem allows it
     points : Gauss points per direction, by default those of `iga.chunk.default_points`
 
     Raises
     ------
     InputError
-        Unknown boundaries, conditions that exclude each other, a material that is not positive definite, supports
+        A solver without a matrix is asked for where one is needed. Unknown boundaries, conditions that exclude each other, a material that is not positive definite, supports
         that leave rigid motions free (they are named), or single components or a field of materials where displacements
         can only be imposed weakly.
     """
@@ -103,7 +112,8 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
         sliding, right = slide(problem, domain, C, points)
         springs, f = sliding if springs is None else springs + sliding, f + right
     require_supports(domain, fixed, springs)
-    K = matrix(domain, stiffness_integrand(C), points, components=3)
+    lean = _lean(domain, C, fixed, springs, solver)
+    K: Any = (operator if lean else matrix)(domain, stiffness_integrand(C), points, components=3)
     thermal = thermal_strain(problem)
     if thermal is not None:
         heating = vector(
@@ -114,7 +124,12 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
         K = K + springs  # one matrix of all is held in memory, not two
     system = System(domain, K, f, fixed, value, 3)
     clock.lap("assemble_s")
-    u, log = system.solve(solver)
+    if lean:
+        free = np.ones(domain.space.n * 3, dtype=bool)
+        free[fixed] = False
+        u, log = system.solve("cg", componentwise(domain, ~free.reshape(-1, 3), points), LEAN_TOLERANCE)
+    else:
+        u, log = system.solve(solver)
     clock.lap("solve_s")
     energy = 0.5 * float(u @ (K @ u if springs is None else K @ u - springs @ u))
     if thermal is not None:
@@ -123,6 +138,24 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
     quantities = quantities_of(u.reshape(-1, 3), C, thermal)
     reactions = system.reactions(u, held, points)
     return Solution(domain, "elasticity", u.reshape(-1, 3), quantities, log, reactions)
+
+
+def _lean(
+    domain: Domain, C: Any, fixed: NDArray[np.int64], springs: csr_array | None, solver: str
+) -> bool:
+    """Whether to solve without a matrix."""
+    if solver not in ("auto", "matrix-free"):
+        return False
+    held = np.bincount(fixed % 3, minlength=3).all()
+    possible = not isinstance(C, Field) and domain.space.constraint is None and springs is None and bool(held)
+    if solver == "matrix-free":
+        if not possible:
+            raise InputError(
+                "a solver without a matrix needs a material without fields, each component of the displacement held "
+                "somewhere, and no elastic supports, weak conditions or constraints; take solver auto"
+            )
+        return True
+    return possible and 9 * int(sparsity(domain.space).indptr[-1]) > LARGE
 
 
 def resolved(problem: Elasticity, domain: Domain) -> Elasticity:

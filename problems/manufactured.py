@@ -100,7 +100,7 @@ def solve_exact(
     ----------
     physics : "heat" or "elasticity"
     expression : a formula in x, y, z, or three separated by ``;`` for elasticity
-    solver : "auto", "direct" or "cg"
+    solver : "auto", "direct" or "cg", for elasticity also "matrix-free"
     points : Gauss points per direction, by default those of `iga.chunk.default_points`
     material : conductivity (1 by default) or stiffness (6, 6) (E = 1, nu = 0.3 by default)
 

@@ -35,18 +35,23 @@ FACTORED = 150_000
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """K u = f with prescribed values of some unknowns; ``components`` per function."""
+    """K u = f with prescribed values of some unknowns; ``components`` per function. K may be known by its products."""
 
     domain: Domain
-    K: csr_array
+    K: Any
     f: Array
     fixed: Index
     values: Array
     components: int
 
-    def solve(self, solver: str = "auto") -> tuple[Array, dict[str, Any]]:
+    def solve(
+        self, solver: str = "auto", preconditioner: Callable[[Array], Array] | None = None, tolerance: float = 1e-13
+    ) -> tuple[Array, dict[str, Any]]:
         """Return all unknowns (n*c,) and the log."""
-        u, log = solve(self.K, self.f, (self.fixed, self.values), domain=self.domain, solver=solver)
+        u, log = solve(
+            self.K, self.f, (self.fixed, self.values), domain=self.domain, solver=solver, tolerance=tolerance,
+            preconditioner=preconditioner,
+        )
         return u, {"functions": self.domain.space.n, **asdict(log)}
 
     def reactions(self, u: Array, held: Mapping[str, Any], points: int | None = None) -> dict[str, Any]:

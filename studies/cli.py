@@ -332,7 +332,9 @@ def _parser() -> argparse.ArgumentParser:
         help="linear elasticity, E = 1, nu = 0.3",
     )
     solve.add_argument("--exact", metavar="EXPR", help="exact solution that makes the data")
-    solve.add_argument("--solver", choices=("auto", "direct", "cg"), help="linear solver (default auto)")
+    solve.add_argument(
+        "--solver", choices=("auto", "direct", "cg", "matrix-free"), help="linear solver (default auto)"
+    )
     solve.add_argument(
         "--quadrature", type=int, metavar="N", help="Gauss points per direction (default: degree + 1)"
     )

@@ -288,7 +288,7 @@ def _solve_operator(
         full[free] = x
         return np.asarray(K @ full)[free]
 
-    name, M = "given", preconditioner
+    name, M = getattr(preconditioner, "name", "given"), preconditioner
     if M is None:
         name, M = "none", lambda r: r.copy()
         if hasattr(K, "diagonal"):

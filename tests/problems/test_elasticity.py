@@ -228,6 +228,21 @@ def test_count_of_free_motions_is_the_rank_defect(pins: list[tuple[int, int]], t
     assert len(set(names)) == len(names)
 
 
+def test_without_a_matrix(monkeypatch) -> None:
+    held = {"x0": (0.0, None, None), "y0": (None, 0.0, None), "z0": (None, None, 0.0)}
+    problem = Elasticity(STEEL, displacement=held, traction={"x1": (1.0, 0.3, 0.0)})
+    expected = elasticity.solve(problem, box((3, 2, 2), 3), "direct")
+    monkeypatch.setattr(elasticity, "LARGE", 1000)
+    found = elasticity.solve(problem, box((3, 2, 2), 3))
+    assert found.log["preconditioner"].endswith("by components")
+    np.testing.assert_allclose(found.coefficients, expected.coefficients, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found.reactions["x0"], expected.reactions["x0"], atol=1e-9)
+    springs = Elasticity(STEEL, displacement=held, support={"x1": Support(1.0)})
+    assert elasticity.solve(springs, box((3, 2, 2), 3)).log["solver"] == "direct"
+    with pytest.raises(InputError, match="needs a material without fields"):
+        elasticity.solve(springs, box((3, 2, 2), 3), "matrix-free")
+
+
 @pytest.mark.parametrize(
     ("problem", "words"),
     [

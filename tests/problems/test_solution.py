@@ -62,11 +62,15 @@ def test_errors_need_a_formula_of_the_right_shape() -> None:
 
 
 def test_direct_and_iterative_agree() -> None:
-    results = [solve_exact(bent_box(3, 2), "elasticity", "sin(x)*y;x*z;cos(y)", solver=s) for s in ("direct", "cg")]
-    (a, log_a), (b, log_b) = results
-    assert (log_a["solver"], log_b["solver"]) == ("direct", "cg")
+    solvers = ("direct", "cg", "matrix-free")
+    results = [solve_exact(bent_box(3, 2), "elasticity", "sin(x)*y;x*z;cos(y)", solver=s) for s in solvers]
+    (a, log_a), (b, log_b), (c, log_c) = results
+    assert (log_a["solver"], log_b["solver"], log_c["solver"]) == ("direct", "cg", "cg")
     assert log_b["iterations"] > 1
+    assert log_c["preconditioner"].endswith("by components")
     np.testing.assert_allclose(a.coefficients, b.coefficients, atol=1e-10)
+    np.testing.assert_allclose(a.coefficients, c.coefficients, atol=1e-9)
+    assert log_c["energy"] == pytest.approx(log_a["energy"], rel=1e-10)
 
 
 def test_picture(tmp_path) -> None:
