@@ -73,7 +73,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 LEVELS: dict[str, dict[str, tuple[int, int]]] = {
     "ci": {"tets": (3, 2), "pyramids": (2, 1), "layers": (1, 1), "hb-layers": (1, 0), "hexes": (1, 1)},
     "full": {
-        "tets": (4, 4), "pyramids": (3, 3), "layers": (4, 3), "hb-layers": (3, 3), "hexes": (2, 2), "part": (3, 3),
+        "tets": (4, 4), "pyramids": (3, 3), "layers": (4, 4), "hb-layers": (3, 3), "hexes": (2, 2), "part": (3, 3),
     },
 }
 """Levels for heat and for elasticity."""

@@ -10,13 +10,24 @@ offsets of a cylinder of radius R by t are x - (t / R) (x - axis). So
                spans a sixth of a cylinder keeps the whole bulge under a linear displacement, while its chord shrinks,
                and the innermost layer turns sharply from element to element
 
-Axis letters: e element, v vertex, k pair, b Bernstein function, x and c component.
+**Creases.** The displacement has a kink where the skin has one: the rim of a hole moves along both of its faces. So
+maps are fitted on each smooth side of a crease alone, and those of the crease to the vertices along it (`creases`);
+where creases meet or end values stay. Control points on a crease follow the crease's maps, all others their side's.
+
+**Factors.** Where depths are lowered by factors s at the vertices, slopes are those of the shifts without the factors,
+times s: the displacement s d tends to zero with s everywhere, not at the vertices alone.
+
+Axis letters: e element, v vertex, g side, m corner of an element, k pair, b Bernstein function, x and c component.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from geometry.hybrid.shell import Shell
 from iga.bernstein import bernstein, elevation
@@ -24,6 +35,10 @@ from iga.block import bezier_coefficients
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+SHARP = np.deg2rad(30.0)
+"""Angle between the normals of two elements from which their common edge is a crease."""
 
 STIFF = 0.05
 """Weight of the slope beside the values of neighbours at distance one: where they lie in a line or a plane."""
@@ -31,24 +46,92 @@ FLAT = 1e-3
 """The same for slopes, relative to all directions together."""
 
 
-def relaxed(points: Array, values: Array, edges: Index, beta: Array, sweeps: int) -> Array:
-    """Values (v, c) moved towards affine fits of their neighbours' values.
+@dataclass(frozen=True, eq=False)
+class Creases:
+    """The smooth sides of a skin around its vertices, and its creases.
+
+    Attributes
+    ----------
+    side : for each block (e, m) number of the side that each corner of an element is on.
+    beside : (k, 2) sides and the vertices beside their own on them.
+    vertex : (g,) vertex of each side.
+    sharp : for each block (e, edges) which edges are creases.
+    along : (k, 2) vertices on creases and the next ones along these.
+    """
+
+    side: tuple[Index, ...]
+    beside: Index
+    vertex: Index
+    sharp: tuple[Mask, ...]
+    along: Index
+
+
+def creases(shell: Shell) -> Creases:
+    """Sides and creases of a shell."""
+    count = len(shell.vertices)
+    keys, normals, corners, ends = [], [], [], []
+    first = 0
+    for block, own in zip(shell.space.blocks, shell.corners):
+        cell = block.basis.cell
+        J = np.einsum("mbd,ebc->emcd", block.basis.tabulate(cell.vertices, 1)[1], bezier_coefficients(block, shell.points))
+        normal = np.cross(J[..., 0], J[..., 1])
+        normal /= np.linalg.norm(normal, axis=2, keepdims=True) + 1e-300
+        number = first + np.arange(own.size).reshape(own.shape)
+        first += own.size
+        turned = own[:, cell.edges[:, 0]] > own[:, cell.edges[:, 1]]
+        local = np.where(turned[:, :, None], cell.edges[:, ::-1], cell.edges)  # (e, edges, 2), lower vertex first
+        rows = np.arange(len(own))[:, None, None]
+        pair = own[rows, local]
+        keys.append((pair @ np.array([count, 1])).ravel())
+        ends.append(pair.reshape(-1, 2))
+        normals.append(normal[rows, local].reshape(-1, 2, 3))
+        corners.append(number[rows, local].reshape(-1, 2))
+    order = np.argsort(np.concatenate(keys), kind="stable").reshape(-1, 2)  # both elements of each edge
+    n, at, pairs = (np.concatenate(some) for some in (normals, corners, ends))
+    cosine = np.einsum("kvc,kvc->kv", n[order[:, 0]], n[order[:, 1]]).min(axis=1)
+    crease = cosine < np.cos(SHARP)
+    a, b = (at[order[~crease][:, k]].ravel() for k in range(2))
+    graph = coo_array((np.ones(len(a)), (a, b)), shape=(first, first))
+    groups, label = connected_components(graph, directed=False)
+    label = label.astype(np.int64)
+    vertex = np.empty(groups, dtype=np.int64)
+    vertex[label[at.ravel()]] = pairs.ravel()
+    beside = np.unique(np.concatenate([
+        np.stack([label[at[:, k]], pairs[:, 1 - k]], axis=1) for k in range(2)
+    ]), axis=0)
+    flags = np.zeros(len(pairs), dtype=bool)
+    flags[order[crease]] = True
+    line = pairs[order[crease][:, 0]]
+    sides, sharp, place, spot = [], [], 0, 0
+    for block, own in zip(shell.space.blocks, shell.corners):
+        edges = len(block.basis.cell.edges)
+        sides.append(label[place : place + own.size].reshape(own.shape))
+        sharp.append(flags[spot : spot + len(own) * edges].reshape(-1, edges))
+        place, spot = place + own.size, spot + len(own) * edges
+    return Creases(tuple(sides), beside, vertex, tuple(sharp), np.concatenate([line, line[:, ::-1]]))
+
+
+def relaxed(points: Array, values: Array, made: Creases, beta: Array, sweeps: int) -> Array:
+    """Values (v, c) moved towards affine fits of their neighbours' values: on a crease, of those along it.
 
     Parameters
     ----------
     points : (v, 3) vertices.
-    edges : (k, 2) neighbours.
     beta : (v,) share of the way in each sweep, 0 where a value stays.
     """
-    a, b = np.concatenate([edges, edges[:, ::-1]]).T
+    count = len(points)
+    degree = np.bincount(made.along[:, 0], minlength=count)
+    inner = np.stack([made.vertex[made.beside[:, 0]], made.beside[:, 1]], axis=1)
+    a, b = np.concatenate([inner[degree[inner[:, 0]] == 0], made.along]).T
+    beta = np.where((degree == 0) | (degree == 2), beta, 0.0)
     x = points[b] - points[a]
     rows = np.concatenate([np.ones((len(x), 1)), x], axis=1)
     weighted = rows / np.einsum("kx,kx->k", x, x)[:, None]
-    A = np.zeros((len(points), 4, 4))
+    A = np.zeros((count, 4, 4))
     np.add.at(A, a, weighted[:, :, None] * rows[:, None])
-    A[:, [1, 2, 3], [1, 2, 3]] += STIFF * np.bincount(a, minlength=len(points))[:, None]
+    A[:, [1, 2, 3], [1, 2, 3]] += STIFF * np.bincount(a, minlength=count)[:, None]
     # The value at the vertex is the first coefficient: a fixed weight of each neighbour.
-    first = np.linalg.solve(A, np.broadcast_to(np.eye(4)[:, :1], (len(points), 4, 1)))[:, :, 0]
+    first = np.linalg.solve(A, np.broadcast_to(np.eye(4)[:, :1], (count, 4, 1)))[:, :, 0]
     weight = np.einsum("ki,ki->k", first[a], weighted)[:, None]
     for _ in range(sweeps):
         fitted = np.zeros_like(values)
@@ -57,24 +140,51 @@ def relaxed(points: Array, values: Array, edges: Index, beta: Array, sweeps: int
     return values
 
 
-def slopes(points: Array, values: Array, edges: Index) -> Array:
-    """Slopes (v, 3, c) of affine maps through the values at vertices, fitted to their neighbours'."""
-    a, b = np.concatenate([edges, edges[:, ::-1]]).T
-    x = points[b] - points[a]
+def slopes(points: Array, values: Array, owners: Index, pairs: Index) -> Array:
+    """Slopes (g, 3, c) of affine maps through the values at vertices, fitted to some of their neighbours'.
+
+    Parameters
+    ----------
+    owners : (g,) vertex that each map goes through.
+    pairs : (k, 2) maps and the neighbours that they are fitted to.
+    """
+    a, b = pairs.T
+    x = points[b] - points[owners[a]]
     weighted = x / np.einsum("kx,kx->k", x, x)[:, None]
-    A, B = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3, values.shape[1]))
+    A, B = np.zeros((len(owners), 3, 3)), np.zeros((len(owners), 3, values.shape[1]))
     np.add.at(A, a, weighted[:, :, None] * x[:, None])
-    np.add.at(B, a, weighted[:, :, None] * (values[b] - values[a])[:, None])
-    A += FLAT * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    np.add.at(B, a, weighted[:, :, None] * (values[b] - values[owners[a]])[:, None])
+    size = np.maximum(np.trace(A, axis1=1, axis2=2), np.bincount(a, minlength=len(owners)) < 1)
+    A += FLAT * size[:, None, None] * np.eye(3)
     return np.asarray(np.linalg.solve(A, B))
 
 
-def spread(shell: Shell, shift: Array, edges: Index) -> Array:
-    """Displacement (n, c) of the control points of a shell of C0 functions by shifts (v, c) of its vertices."""
+def spread(shell: Shell, shift: Array, made: Creases, whole: Array | None = None, factor: Array | None = None) -> Array:
+    """Displacement (n, c) of the control points of a shell of C0 functions by shifts (v, c) of its vertices.
+
+    Parameters
+    ----------
+    whole, factor : shifts (v, c) without the factors (v,) of the depth, and those; slopes are the former's times these.
+    """
     result = np.zeros((shell.space.n, shift.shape[1]))
-    G = slopes(shell.vertices, shift, edges)
-    for block, corners in zip(shell.space.blocks, shell.corners):
-        L = elevation(bernstein(block.basis.cell, 1), block.basis.degree)
+    whole = shift if whole is None else whole
+    count = len(shell.vertices)
+    on_side = slopes(shell.vertices, whole, made.vertex, made.beside)
+    on_crease = slopes(shell.vertices, whole, np.arange(count), made.along)
+    if factor is not None:
+        on_side *= factor[made.vertex, None, None]
+        on_crease *= factor[:, None, None]
+    for block, corners, side, sharp in zip(shell.space.blocks, shell.corners, made.side, made.sharp):
+        cell = block.basis.cell
+        L = elevation(bernstein(cell, 1), block.basis.degree)
         bulge = bezier_coefficients(block, shell.points) - L @ shell.vertices[corners]
-        result[block.dofs] = L @ shift[corners] + np.einsum("ebx,bv,evxc->ebc", bulge, L, G[corners], optimize=True)
+        moved = np.einsum("ebx,bv,evxc->ebc", bulge, L, on_side[side], optimize=True)
+        for k, ends in enumerate(cell.edges):
+            inside = (L[:, ends] > 0.0).all(axis=1) & (np.delete(L, ends, axis=1) == 0.0).all(axis=1)
+            own = np.flatnonzero(sharp[:, k])
+            moved[np.ix_(own, inside)] = np.einsum(
+                "ebx,bv,evxc->ebc", bulge[own][:, inside], L[np.ix_(inside, ends)], on_crease[corners[own][:, ends]],
+                optimize=True,
+            )
+        result[block.dofs] = L @ shift[corners] + moved
     return result

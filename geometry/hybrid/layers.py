@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from geometry.hybrid.affine import relaxed, spread
+from geometry.hybrid.affine import Creases, relaxed, spread
 from geometry.hybrid.fairing import fair_displacement
 from geometry.hybrid.field import field_under
 from geometry.hybrid.filling import LIMIT
@@ -74,7 +74,7 @@ def inner_shell(shell: Shell, omega: float) -> tuple[Shell, Array]:
     The shell, and the displacement of each function's control point (n, 3).
     """
     ways = ways_of(shell, None)
-    D = _displacement(shell, omega * ways.straight, ways.edges)
+    D = _displacement(shell, omega * ways.straight, ways.creases)
     return moved(shell, D), D
 
 
@@ -94,6 +94,23 @@ def traced(
     -------
     (j, n, 3)
     """
+    shifts = _shifts(shell, ways, omega, shares, beta, scale)
+    lowered = bool((np.asarray(scale) < 1.0).any())
+    if _smooth(shell) or not lowered:
+        D = _displacement(shell, np.hstack(shifts), ways.creases)
+        return np.moveaxis(D.reshape(shell.space.n, -1, 3), 1, 0)
+    result = []
+    for shift, whole in zip(shifts, _shifts(shell, ways, omega, shares, beta, 1.0)):
+        length, most = (np.linalg.norm(some, axis=1) for some in (shift, whole))
+        factor = np.minimum(1.0, length / (most + 1e-300))
+        result.append(spread(shell, shift, ways.creases, whole, factor))
+    return np.array(result)
+
+
+def _shifts(
+    shell: Shell, ways: Ways, omega: float, shares: Array, beta: float, scale: Array | float
+) -> list[Array]:
+    """Shifts (v, 3) of the vertices for each layer."""
     rows = np.arange(len(shell.vertices))
     depth = bounded(shell.vertices, scale * omega * ways.lengths, ways.edges)
     good = inward(shell, ways, depth) & (scale > STUBBORN)
@@ -108,12 +125,11 @@ def traced(
         rest = (at - k)[:, None]
         shift = (1.0 - rest) * ways.places[rows, k] + rest * ways.places[rows, k + 1] - shell.vertices
         shift = np.where(good[:, None], shift, share * plain)
-        shift = relaxed(shell.vertices, shift, ways.edges, relax, SWEEPS)
+        shift = relaxed(shell.vertices, shift, ways.creases, relax, SWEEPS)
         if shell.adjust is not None:
             shift = _faired(shell, ways.edges, shift, scale)
         result.append(shift)
-    D = _displacement(shell, np.hstack(result), ways.edges)
-    return np.moveaxis(D.reshape(shell.space.n, -1, 3), 1, 0)
+    return result
 
 
 def _faired(shell: Shell, edges: Index, shift: Array, scale: Array | float) -> Array:
@@ -177,13 +193,15 @@ def moved(shell: Shell, displacement: Array) -> Shell:
     return replace(shell, points=points, vertices=vertices)
 
 
-def _displacement(shell: Shell, shift: Array, edges: Index) -> Array:
+def _displacement(shell: Shell, shift: Array, made: Creases) -> Array:
     """Displacement of control points (n, c) by shifts of the vertices (v, c): as nearly affine as those are, or smooth
     where the skin's functions are smoother than C0 (`fairing`).
     """
-    if any(block.extraction is not None for block in shell.space.blocks):
-        return fair_displacement(shell, shift)
-    return spread(shell, shift, edges)
+    return fair_displacement(shell, shift) if _smooth(shell) else spread(shell, shift, made)
+
+
+def _smooth(shell: Shell) -> bool:
+    return any(block.extraction is not None for block in shell.space.blocks)
 
 
 def with_layers(inside: Domain, shell: Shell, displacements: Array, vertices: int) -> Domain:

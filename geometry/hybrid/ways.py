@@ -19,6 +19,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.hybrid.affine import Creases, creases
 from geometry.hybrid.field import Field, paths
 from geometry.hybrid.flat_corners import tangents_of
 from geometry.hybrid.shell import Shell
@@ -42,24 +43,26 @@ class Ways:
     lengths : (v,)
     straight : (v, 3) displacement that `directions` and the largest ball allow.
     edges : (k, 2) vertices that are joined.
+    creases : smooth sides of the skin and its creases.
     """
 
     places: Array
     lengths: Array
     straight: Array
     edges: Index
+    creases: Creases
 
 
 def ways_of(shell: Shell, field: Field | None) -> Ways:
     """Paths along a field, or straight ones without."""
     w = directions(shell)
-    edges = _edges(shell)
+    edges, made = _edges(shell), creases(shell)
     straight = bounded(shell.vertices, _meet(shell.vertices, w, _targets(shell)), edges)[:, None] * w
     if field is None:
         places = np.stack([shell.vertices, shell.vertices + straight], axis=1)
-        return Ways(places, np.linalg.norm(straight, axis=1), straight, edges)
+        return Ways(places, np.linalg.norm(straight, axis=1), straight, edges, made)
     unit = w / np.linalg.norm(w, axis=1, keepdims=True)
-    return Ways(*paths(field, np.arange(len(w)), unit), straight, edges)
+    return Ways(*paths(field, np.arange(len(w)), unit), straight, edges, made)
 
 
 def directions(shell: Shell) -> Array:
