@@ -14,6 +14,9 @@ offsets of a cylinder of radius R by t are x - (t / R) (x - axis). So
 maps are fitted on each smooth side of a crease alone, and those of the crease to the vertices along it (`creases`);
 where creases meet or end values stay. Control points on a crease follow the crease's maps, all others their side's.
 
+**Bound.** Offsets inwards that stop before the mid-structure have slopes with a norm below one. Fits with larger ones
+(``STEEPEST``) are noise across faces that are nearly flat, and are scaled down to it.
+
 **Factors.** Where depths are lowered by factors s at the vertices, slopes are those of the shifts without the factors,
 times s: the displacement s d tends to zero with s everywhere, not at the vertices alone.
 
@@ -37,6 +40,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+STEEPEST = 1.0
+"""Largest norm of slopes."""
 SHARP = np.deg2rad(30.0)
 """Angle between the normals of two elements from which their common edge is a crease."""
 
@@ -141,7 +146,7 @@ def relaxed(points: Array, values: Array, made: Creases, beta: Array, sweeps: in
 
 
 def slopes(points: Array, values: Array, owners: Index, pairs: Index) -> Array:
-    """Slopes (g, 3, c) of affine maps through the values at vertices, fitted to some of their neighbours'.
+    """Slopes (g, 3, c) of affine maps through the values at vertices, fitted to some of their neighbours', bounded.
 
     Parameters
     ----------
@@ -156,7 +161,9 @@ def slopes(points: Array, values: Array, owners: Index, pairs: Index) -> Array:
     np.add.at(B, a, weighted[:, :, None] * (values[b] - values[owners[a]])[:, None])
     size = np.maximum(np.trace(A, axis1=1, axis2=2), np.bincount(a, minlength=len(owners)) < 1)
     A += FLAT * size[:, None, None] * np.eye(3)
-    return np.asarray(np.linalg.solve(A, B))
+    G = np.linalg.solve(A, B)
+    norm = np.linalg.norm(G, ord=2, axis=(1, 2), keepdims=True)
+    return np.asarray(G * (STEEPEST / np.maximum(norm, STEEPEST)))
 
 
 def spread(shell: Shell, shift: Array, made: Creases, whole: Array | None = None, factor: Array | None = None) -> Array:

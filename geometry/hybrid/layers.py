@@ -95,15 +95,14 @@ def traced(
     (j, n, 3)
     """
     shifts = _shifts(shell, ways, omega, shares, beta, scale)
-    lowered = bool((np.asarray(scale) < 1.0).any())
-    if _smooth(shell) or not lowered:
-        D = _displacement(shell, np.hstack(shifts), ways.creases)
+    if _smooth(shell):
+        D = fair_displacement(shell, np.hstack(shifts))
         return np.moveaxis(D.reshape(shell.space.n, -1, 3), 1, 0)
+    lowered = bool((np.asarray(scale) < 1.0).any())
     result = []
-    for shift, whole in zip(shifts, _shifts(shell, ways, omega, shares, beta, 1.0)):
+    for shift, whole in zip(shifts, _shifts(shell, ways, omega, shares, beta, 1.0) if lowered else shifts):
         length, most = (np.linalg.norm(some, axis=1) for some in (shift, whole))
-        factor = np.minimum(1.0, length / (most + 1e-300))
-        result.append(spread(shell, shift, ways.creases, whole, factor))
+        result.append(spread(shell, shift, ways.creases, whole, np.minimum(1.0, length / (most + 1e-300))))
     return np.array(result)
 
 
@@ -136,7 +135,8 @@ def _faired(shell: Shell, edges: Index, shift: Array, scale: Array | float) -> A
     """Shifts (v, 3) that are harmonic inside CAD faces, between those on their curves, times the factors of the depth.
 
     Functions of an HB-rep are C2 across elements, so they follow a displacement with kinks there with an error of first
-    order only.
+    order only. Least bending of the functions (`fairing`) does not replace this: without it the innermost layer turns
+    by 1.3 to 2 times as much (bent box minus another: 14 degrees for 11, 9.0 for 4.4), and depths must be lowered.
     """
     count = len(shift)
     least, most = np.full(count, len(shell.names)), np.full(count, -1)

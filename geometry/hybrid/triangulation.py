@@ -280,7 +280,7 @@ def _marked(
             if (min(pair), max(pair)) in forced:
                 score[i] = np.inf
     chosen = np.flatnonzero(score > 1.0)
-    order = chosen[np.argsort(-score[chosen] * 1e3 - length[chosen] / length.max(), kind="stable")]
+    order = chosen[np.argsort(-score[chosen] * 1e3 - length[chosen] / length.max(initial=1e-300), kind="stable")]
     return np.stack([t[order], k[order]], axis=1)
 
 

@@ -98,6 +98,8 @@ def test_square_with_a_hole_is_triangulated() -> None:
                   - (p[:, 1, 1] - p[:, 0, 1]) * (p[:, 2, 0] - p[:, 0, 0]))
     assert area.min() > 0
     assert area.sum() == pytest.approx(1 - 8 * 0.5 * 0.04 * np.sin(np.pi / 4), rel=1e-12)
+    alone = triangulate(outer[:3], [np.arange(3)], smooth[:3], flat, lambda x: np.ones(len(x)), set(), "triangle")
+    assert sorted(alone.triangles[0].tolist()) == [0, 1, 2]
     crossed = outer[[0, 2, 1, 3]]
     with pytest.raises(InputError, match="crosses itself"):
         triangulate(crossed, [np.arange(4)], smooth[:4], flat, lambda x: np.ones(len(x)), set(), "bow tie")
