@@ -92,9 +92,9 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
     Raises
     ------
     InputError
-        A solver without a matrix is asked for where one is needed. Unknown boundaries, conditions that exclude each other, a material that is not positive definite, supports
-        that leave rigid motions free (they are named), or single components or a field of materials where displacements
-        can only be imposed weakly.
+        A solver without a matrix is asked for where one is needed. Unknown boundaries, conditions that exclude each
+        other, a material that is not positive definite, supports that leave rigid motions free (they are named), or
+        single components or a field of materials where displacements can only be imposed weakly.
     """
     clock = Clock()
     problem = resolved(problem, domain)

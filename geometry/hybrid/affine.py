@@ -78,7 +78,8 @@ def creases(shell: Shell) -> Creases:
     first = 0
     for block, own in zip(shell.space.blocks, shell.corners):
         cell = block.basis.cell
-        J = np.einsum("mbd,ebc->emcd", block.basis.tabulate(cell.vertices, 1)[1], bezier_coefficients(block, shell.points))
+        gradients = block.basis.tabulate(cell.vertices, 1)[1]
+        J = np.einsum("mbd,ebc->emcd", gradients, bezier_coefficients(block, shell.points))
         normal = np.cross(J[..., 0], J[..., 1])
         normal /= np.linalg.norm(normal, axis=2, keepdims=True) + 1e-300
         number = first + np.arange(own.size).reshape(own.shape)

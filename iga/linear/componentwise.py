@@ -3,9 +3,10 @@ r"""A preconditioner for elasticity that needs no matrix of it: that of the Lapl
     K ~ L x I_c,      c_1 v^T (L x I_c) v <= v^T K v <= c_2 v^T (L x I_c) v,
 
 with c_2 the largest eigenvalue of the stiffness and c_1 half the smallest over Korn's constant, which is one where the
-whole boundary is held (Gustafsson and Lindskog, Numerical Linear Algebra with Applications 5, 1998). A matrix of one component has a ninth of the entries, so that with an operator (`iga.operator`) a system takes a
-tenth of the memory of its assembled matrix. Slender bodies that are held at one end, and materials that hardly change
-their volume, take many iterations: they are for the assembled matrix and its rigid motions.
+whole boundary is held (Gustafsson and Lindskog, Numerical Linear Algebra with Applications 5, 1998). A matrix of one
+component has a ninth of the entries, so that with an operator (`iga.operator`) a system takes a tenth of the memory of
+its assembled matrix. Slender bodies that are held at one end, and materials that hardly change their volume, take many
+iterations: they are for the assembled matrix and its rigid motions.
 
 Axis letters: n function, c component.
 """
