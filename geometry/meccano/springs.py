@@ -97,7 +97,11 @@ def springs_to(
         facet[lost], u[lost] = sample // len(SAMPLES), SAMPLES[sample % len(SAMPLES)]
         each = np.bincount(facet, minlength=len(skin.cell))[facet]
         mine = touched[facet]
-        return _Pulls(values_on(skin, facet[mine], u[mine]), there[mine], normals[mine], 1.0 / each[mine], lost[mine])
+        B, places, across = values_on(skin, facet[mine], u[mine]), there[mine], normals[mine]
+        # What is missed by far, the tip of a limb, pulls towards itself.
+        far, way = missed[mine] > hold, places - B @ points
+        across[far] = way[far] / np.linalg.norm(way[far], axis=1, keepdims=True)
+        return _Pulls(B, places, across, 1.0 / each[mine], lost[mine])
 
     def springs(points: Array) -> Tether:
         pulls = [_bounded(made, points, hold) for made in (from_boundary(points), from_surface(points))]
