@@ -14,6 +14,7 @@ Axis letters: e edge, i sample, k sample on an edge.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,14 @@ class Sizing:
     points: Array
     size: Array
 
+    @cached_property
+    def telling(self) -> tuple[Array, Array]:
+        """Samples that set the size around them, sizes ascending; the others follow from these."""
+        order = np.argsort(self.size, kind="stable")
+        points, size = np.ascontiguousarray(self.points[order]), self.size[order]
+        kept = _telling(points, size, GRADE)
+        return points[kept], size[kept]
+
 
 @njit(cache=True)
 def _nearest(a: Any, edge: Any, segments: Any, owner: Any, share: Any, faces_of: Any, near: Any, far: Any) -> Any:
@@ -71,19 +80,43 @@ def _nearest(a: Any, edge: Any, segments: Any, owner: Any, share: Any, faces_of:
 
 @njit(cache=True)
 def _graded(x: Any, points: Any, size: Any, grade: Any) -> Any:
+    """Least size[j] + grade |x - points[j]| of each x; sizes ascend."""
     result = np.full(len(x), np.inf)
     for i in range(len(x)):
         for j in range(len(points)):
-            if size[j] < result[i]:
-                d = np.sqrt((x[i, 0] - points[j, 0]) ** 2 + (x[i, 1] - points[j, 1]) ** 2
-                            + (x[i, 2] - points[j, 2]) ** 2)
-                result[i] = min(result[i], size[j] + grade * d)
+            room = (result[i] - size[j]) / grade
+            if room <= 0.0:
+                break
+            d = (x[i, 0] - points[j, 0]) ** 2 + (x[i, 1] - points[j, 1]) ** 2 + (x[i, 2] - points[j, 2]) ** 2
+            if d < room * room:
+                result[i] = size[j] + grade * np.sqrt(d)
     return result
+
+
+@njit(cache=True)
+def _telling(points: Any, size: Any, grade: Any) -> Any:
+    """Samples, of ascending sizes, from which no smaller one follows."""
+    kept = np.zeros(len(points), dtype=np.int64)
+    count = 0
+    for i in range(len(points)):
+        told = False
+        for k in range(count):
+            j = kept[k]
+            room = (size[i] - size[j]) / grade
+            d = (points[i, 0] - points[j, 0]) ** 2 + (points[i, 1] - points[j, 1]) ** 2
+            if room * room >= d + (points[i, 2] - points[j, 2]) ** 2:
+                told = True
+                break
+        if not told:
+            kept[count] = i
+            count += 1
+    return kept[:count].copy()
 
 
 def size_at(sizing: Sizing, x: Array) -> Array:
     """Wanted size (q,) at points (q, 3)."""
-    return np.asarray(_graded(np.ascontiguousarray(x), sizing.points, sizing.size, GRADE))
+    points, size = sizing.telling
+    return np.asarray(_graded(np.ascontiguousarray(x), points, size, GRADE))
 
 
 def normal_curvature(surface: Any, uv: Array) -> Array:

@@ -110,13 +110,18 @@ def _relink(adjacent: Any, t: Any, old: Any, new: Any) -> None:
 @njit(cache=True)
 def _flip(q: Any, x: Any, triangles: Any, adjacent: Any, smooth: Any, tiny: Any) -> Any:
     """Flip edges while the worse of their two triangles improves; number of flips."""
+    quality = np.empty(len(triangles))
+    for t in range(len(triangles)):
+        quality[t] = _triangle_quality(q, x, triangles, adjacent, smooth, tiny, t)
+    fresh = np.ones(len(triangles), dtype=np.bool_)  # changed since their edges were looked at
     total = 0
     for _ in range(60):
         flips = 0
+        seen, fresh = fresh, np.zeros(len(triangles), dtype=np.bool_)
         for t in range(len(triangles)):
             for k in range(3):
                 s = adjacent[t, k]
-                if s < t:
+                if s < t or not (seen[t] or seen[s] or fresh[t] or fresh[s]):
                     continue
                 j = _find(adjacent[s], t)
                 a, b, c = triangles[t, k], triangles[t, (k + 1) % 3], triangles[t, (k + 2) % 3]
@@ -127,17 +132,24 @@ def _flip(q: Any, x: Any, triangles: Any, adjacent: Any, smooth: Any, tiny: Any)
                 ad, db = adjacent[s, (j + 1) % 3], adjacent[s, (j + 2) % 3]
                 if (bc >= 0 and bc == db) or (ca >= 0 and ca == ad):
                     continue  # would make two triangles with the same corners
-                old = min(_triangle_quality(q, x, triangles, adjacent, smooth, tiny, t),
-                          _triangle_quality(q, x, triangles, adjacent, smooth, tiny, s))
-                new = min(_quality(q, x, c, a, d, ca < 0, ad < 0, False, smooth, tiny),
-                          _quality(q, x, d, b, c, db < 0, bc < 0, False, smooth, tiny))
-                if new > old * 1.0001 + 1e-12:
+                old = min(quality[t], quality[s])
+                least = old * 1.0001 + 1e-12
+                one = _quality(q, x, c, a, d, ca < 0, ad < 0, False, smooth, tiny)
+                if one <= least:
+                    continue
+                two = _quality(q, x, d, b, c, db < 0, bc < 0, False, smooth, tiny)
+                if two > least:
                     triangles[t, 0], triangles[t, 1], triangles[t, 2] = c, a, d
                     triangles[s, 0], triangles[s, 1], triangles[s, 2] = d, b, c
                     adjacent[t, 0], adjacent[t, 1], adjacent[t, 2] = ca, ad, s
                     adjacent[s, 0], adjacent[s, 1], adjacent[s, 2] = db, bc, t
                     _relink(adjacent, ad, s, t)
                     _relink(adjacent, bc, t, s)
+                    quality[t], quality[s] = one, two
+                    fresh[t] = fresh[s] = True
+                    for near in (ad, bc):
+                        if near >= 0:
+                            fresh[near] = True
                     flips += 1
                     break
         total += flips
