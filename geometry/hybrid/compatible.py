@@ -14,7 +14,7 @@ Axis letters: d parameter direction, k sample.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 
 import numpy as np
@@ -22,9 +22,11 @@ from numpy.typing import NDArray
 
 from geometry.cad.brep import Brep, Coedge, curve_points, curve_tangents
 from geometry.hybrid.grid import ALONG, CLOSE, followed
+from geometry.hybrid.pieces import Pieces
 from geometry.patch import Patch
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 SAMPLES = 257
 SAME = 1e-6
@@ -99,6 +101,27 @@ def with_missing(ends: dict[int, Array], cuts: dict[int, Array]) -> dict[int, Ar
     made = dict(ends)
     for e, firm in cuts.items():
         made[e] = np.sort(np.concatenate([ends[e], firm[np.abs(firm[:, None] - ends[e]).min(axis=1) > SAME]]))
+    return made
+
+
+def halved(
+    brep: Brep, cuts: dict[int, Array], pieces: Index, edges: list[Pieces], faces: Collection[int]
+) -> dict[int, Array]:
+    """Cuts with the middles of pieces that only the lines of faces would cut: sizes do not reach these.
+
+    Parameters
+    ----------
+    pieces : (k, 3) two vertices and the edge of each.
+    faces : those that have lines.
+    """
+    made = dict(cuts)
+    for a, b, e in pieces.tolist():
+        uses = [(brep.faces[f].loops[i][j], brep.faces[f].surface) for f, i, j in brep.coedges_of[e] if f in faces]
+        if any(followed(c, surface) >= 0 for c, surface in uses):
+            ring = edges[e].vertices
+            k = int(np.flatnonzero(np.isin(ring[:-1], (a, b)) & np.isin(ring[1:], (a, b)))[0])
+            middle = 0.5 * (edges[e].ends[k] + edges[e].ends[k + 1])
+            made[e] = np.unique(np.append(made.get(e, np.zeros(0)), middle))
     return made
 
 

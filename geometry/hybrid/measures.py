@@ -41,12 +41,13 @@ _AROUND = {
 @dataclass(frozen=True, eq=False)
 class Finer:
     """Where elements must be smaller: places and sizes, and the largest cell of some faces' grids; faces that fold or
-    are cut.
+    are cut, and the pieces of edges (k, 3), as in `Assembled.curves`, beside their elements that do.
     """
 
     sizing: Sizing
     cells: dict[int, float]
     faulty: set[int]
+    pieces: Index
 
 
 def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: float) -> tuple[dict[str, Any], Finer]:
@@ -120,7 +121,21 @@ def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: floa
             here = np.arange(start[n], start[n + 1])
             for e in here[failing[here]].tolist():
                 cells[int(owner[e])] = min(cells.get(int(owner[e]), np.inf), float(wanted[e]))
-    return report, Finer(Sizing(centre[some], wanted[some]), cells, set(owner[bad].tolist()))
+    return report, Finer(
+        Sizing(centre[some], wanted[some]), cells, set(owner[bad].tolist()), _pieces(made, bad)
+    )
+
+
+def _pieces(made: Assembled, bad: NDArray[np.bool_]) -> Index:
+    """Pieces of edges (k, 3) that are sides of some elements."""
+    sides, first = [], 0
+    for part in made.parts:
+        own = part.corners[bad[first : first + len(part.corners)]]
+        first += len(part.corners)
+        sides.append(np.stack([own, np.roll(own, -1, axis=1)], axis=2).reshape(-1, 2))
+    weight = np.array([made.vertices, 1])
+    keys = np.sort(np.concatenate(sides), axis=1) @ weight
+    return made.curves[np.isin(np.sort(made.curves[:, :2], axis=1) @ weight, keys)]
 
 
 def _halves(part: Part) -> list[tuple[int, int]]:

@@ -30,7 +30,7 @@ from scipy.sparse import csr_array
 from geometry.cad.brep import Brep
 from geometry.hybrid.assembling import assemble
 from geometry.hybrid.chart import make_chart
-from geometry.hybrid.compatible import compatible_cuts, line_cuts, with_cuts, with_missing
+from geometry.hybrid.compatible import compatible_cuts, halved, line_cuts, with_cuts, with_missing
 from geometry.hybrid.cusps import refuse_cusps
 from geometry.hybrid.facemesh import mesh_faces
 from geometry.hybrid.grid import agree, is_flat, kept_share, make_grid
@@ -208,6 +208,7 @@ def build_skin(
                 without.update(dict.fromkeys(dropped, "its quadrilaterals fold or are cut"))
             stuck = 0 if dropped else stuck
         cells = {f: min(most, finer.cells.get(f, most)) for f, most in cells.items() if f not in without}
+        cuts = halved(brep, cuts, finer.pieces, edges, set(cells))
         sizing = Sizing(
             np.concatenate([sizing.points, finer.sizing.points]), np.concatenate([sizing.size, finer.sizing.size])
         )
