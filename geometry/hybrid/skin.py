@@ -145,6 +145,7 @@ def build_skin(
     least = least_pieces(brep)
     best: tuple[float, Skin, Sealed | None] | None = None
     stuck = 0
+    faulty: set[int] = set()
     if cells:
         cells = _fitting_cells(brep, divide_edges(brep, sizing, wanted, least, tolerance), sizing, cells)
     for _ in progress.track(range(ROUNDS), "skin"):
@@ -204,10 +205,11 @@ def build_skin(
                 banded -= dropped
                 unbanded.update(dict.fromkeys(dropped, "its elements fold or are cut"))
             else:
-                dropped = finer.faulty & set(cells)
+                dropped = finer.faulty & faulty & set(cells)  # not those that fold for the first time
                 without.update(dict.fromkeys(dropped, "its quadrilaterals fold or are cut"))
             stuck = 0 if dropped else stuck
         cells = {f: min(most, finer.cells.get(f, most)) for f, most in cells.items() if f not in without}
+        faulty = finer.faulty
         cuts = halved(brep, cuts, finer.pieces, edges, set(cells))
         sizing = Sizing(
             np.concatenate([sizing.points, finer.sizing.points]), np.concatenate([sizing.size, finer.sizing.size])

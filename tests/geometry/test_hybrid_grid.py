@@ -10,9 +10,10 @@ import pytest
 
 from geometry.cad.brep import Brep, surface_points
 from geometry.hybrid import read_cad, shapes
+from geometry.hybrid.compatible import halved, with_cuts, with_missing
 from geometry.hybrid.fitting import bezier_nets
-from geometry.hybrid.grid import agree, count_intervals, is_flat, make_grid, winding
-from geometry.hybrid.pieces import divide_edges, least_pieces
+from geometry.hybrid.grid import agree, count_intervals, followed, is_flat, make_grid, winding
+from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
 from geometry.hybrid.settings import Settings
 from geometry.hybrid.shapes import lettered_face
 from geometry.hybrid.sizing import size_edges
@@ -123,6 +124,25 @@ def test_edges_are_cut_where_lines_meet_them() -> None:
 @pytest.fixture(scope="module")
 def volume():
     return domain_of(solid("curved_box"), Settings(size=0.4, skin="hybrid", subdivide=0), "box")
+
+
+def test_pieces_beside_folds_are_halved_where_lines_cut_them() -> None:
+    """Sizes do not reach edges along the lines of a face: their pieces are cut in the middle, those of others not."""
+    brep = solid("curved_difference")
+    sizing, wanted = size_edges(brep, 0.3)
+    ends = divide_edges(brep, sizing, wanted, least_pieces(brep), 1e-3)
+    edges, _ = cut_edges(brep, ends)
+    along = [e for e, uses in enumerate(brep.coedges_of)
+             if any(followed(brep.faces[f].loops[k][i], brep.faces[f].surface) >= 0 for f, k, i in uses)]
+    others = [e for e in range(len(brep.edges)) if e not in along and not brep.edges[e].degenerate]
+    rows = np.array([[*edges[e].vertices[[1, 0]], e] for e in (along[0], others[0])])
+    faces = range(len(brep.faces))
+    cuts = halved(brep, {along[0]: np.array([0.9])}, rows, edges, faces)
+    assert cuts.keys() == {along[0]}
+    assert cuts[along[0]] == pytest.approx([0.5 * edges[along[0]].ends[1], 0.9])
+    _, made = agree(brep, with_cuts(ends, cuts), sizing, dict.fromkeys(faces, brep.diagonal), cuts)
+    assert np.abs(with_missing(made, cuts)[along[0]] - cuts[along[0]][0]).min() < 1e-12
+    assert halved(brep, {}, rows, edges, ()) == {}
 
 
 def test_pyramids_stand_on_the_quadrilaterals(volume) -> None:
