@@ -258,8 +258,9 @@ def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None)
         # Elements under what is off must make way for it.
         free = acting(solid, moved(solid, acting(solid, off)))
     springs = springs_to(task.surface, solid.skin, tolerance, softness, state.aim, free, softness > _LEADING)
+    turns = _TURNS[int(state.errors.worst.max() > _LIMB * tolerance)]
     found = smooth(
-        solid.domain, free, rounds=_TURNS, iterations=_SLIDE, power=_POWER, tether=springs, repairs=1, folds=False,
+        solid.domain, free, rounds=turns, iterations=_SLIDE, power=_POWER, tether=springs, repairs=1, folds=False,
         shown=task.shown,
     )
     return _measured(task, replace(solid, points=found.points, invalid=found.invalid), state.aim)
@@ -299,8 +300,9 @@ _LEADING = 2.0
 # many tolerances.
 _PROGRESS = 0.8
 _LIMB = 3.0
-# Of each slide: rounds, steps of descent, power of the mean ratio. At the end, the scaled Jacobian of poor shapes.
-_TURNS = 6
+# Of each slide: rounds near the surface and far from it, steps of descent, power of the mean ratio. At the end, the
+# scaled Jacobian of poor shapes.
+_TURNS = (2, 6)
 _SLIDE = 40
 _POWER = 4.0
 _POOR = 0.3
