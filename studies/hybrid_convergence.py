@@ -19,7 +19,8 @@ The rate between levels 0 and 1 falls short by about 0.7 whatever the first mesh
 cell is the solution after the cell's own cubic map, and a cell of the first mesh spans the bends of the skin beside a
 trimming curve. Cutting a cell halves the first derivatives of its map and divides the second ones by four: from level 1
 on maps are nearly affine, and rates are within 0.2, from level 2 on within 0.1. Layers need the third pair for that:
-cells below a bent skin that tends to a mid-structure are bent in one direction more (H1, heat: 2.53, 2.84, 2.94).
+cells below a bent skin that tends to a mid-structure are bent in one direction more (H1, heat: 2.54, 2.83, 2.94;
+elasticity: 2.34, 2.83, 2.96, whose 1.9 million unknowns are solved without a matrix in 5 GB).
 """
 
 from __future__ import annotations
