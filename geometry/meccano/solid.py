@@ -207,12 +207,13 @@ def _measured(task: _Task, solid: Solid, aim: Array | None = None) -> _State:
 
 def _settled(task: _Task, state: _State, whole: bool) -> _State:
     """A solid that has slid on its mesh, as a whole or around what is off, until limbs come no farther."""
+    # What the coarse mesh leaves far off stays off: there patience costs little.
     free = np.ones(state.solid.space.space.n, dtype=bool) if whole else None
     for softness in _GRADES if whole else _FINE:
         # Soft springs only where there is some way to go.
         if softness * task.aims.tolerance <= state.errors.worst.max():
-            state = _slid(task, state, softness, free)
-    state = _slid_on(task, _slid(task, state, 1.0, free), _LIMB)
+            state = _slid(task, state, softness, free, whole)
+    state = _slid_on(task, _slid(task, state, 1.0, free, whole), _LIMB)
     if len(state.solid.invalid):
         state = _measured(task, _untangled(state.solid, True, task.shown), state.aim)
     return state
@@ -240,7 +241,7 @@ def _finished(task: _Task, state: _State) -> _State:
 def _slid_on(task: _Task, state: _State, limit: float, softness: float = 1.0) -> _State:
     """Slide while that lowers what is off, and something is by more than ``limit`` tolerances."""
     while state.excess(task.aims) and state.errors.worst.max() > limit * task.aims.tolerance:
-        tried = _slid(task, state, softness)
+        tried = _slid(task, state, softness, patient=True)
         before, now = state.excess(task.aims), tried.excess(task.aims)
         if now < before:
             state = tried
@@ -249,18 +250,24 @@ def _slid_on(task: _Task, state: _State, limit: float, softness: float = 1.0) ->
     return state
 
 
-def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None) -> _State:
-    """Smooth while free functions slide along the surface, by default those around what is off."""
+def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None, patient: bool = False) -> _State:
+    """Smooth while free functions slide along the surface, by default those around what is off.
+
+    Where something is far from the surface, elements may not fold on the way, and a patient slide takes more turns and
+    moves elements under what is off too, which must make way for it.
+    """
     solid, tolerance = state.solid, task.aims.tolerance
+    far = bool(state.errors.worst.max() > _LIMB * tolerance)
+    turns, steps = _PATIENT if patient and far else _QUICK
     if free is None:
         off = np.zeros(solid.space.tmesh.cells, dtype=bool)
         off[solid.skin.cell[state.errors.worst > tolerance]] = True
-        # Elements under what is off must make way for it.
-        free = acting(solid, moved(solid, acting(solid, off)))
+        free = acting(solid, off)
+        if patient and far:
+            free = acting(solid, moved(solid, free))
     springs = springs_to(task.surface, solid.skin, tolerance, softness, state.aim, free, softness > _LEADING)
-    turns = _TURNS[int(state.errors.worst.max() > _LIMB * tolerance)]
     found = smooth(
-        solid.domain, free, rounds=turns, iterations=_SLIDE, power=_POWER, tether=springs, repairs=1, folds=False,
+        solid.domain, free, rounds=turns, iterations=steps, power=_POWER, tether=springs, repairs=1, folds=not far,
         shown=task.shown,
     )
     return _measured(task, replace(solid, points=found.points, invalid=found.invalid), state.aim)
@@ -300,10 +307,10 @@ _LEADING = 2.0
 # many tolerances.
 _PROGRESS = 0.8
 _LIMB = 3.0
-# Of each slide: rounds near the surface and far from it, steps of descent, power of the mean ratio. At the end, the
-# scaled Jacobian of poor shapes.
-_TURNS = (2, 6)
-_SLIDE = 40
+# Of a slide: rounds and steps of descent, also where it is patient; power of the mean ratio. At the end, the scaled
+# Jacobian of poor shapes.
+_QUICK = (2, 30)
+_PATIENT = (6, 40)
 _POWER = 4.0
 _POOR = 0.3
 # Refinement: facets off by this share of the worst at least, most cells for each cell.
