@@ -1,75 +1,27 @@
-r"""From the map of the meccano's boundary to a certified solid, coarse to fine.
+"""A solid on a T-mesh, and what acts where in it.
 
-On a coarse T-mesh the solid starts valid: as a smooth blob whose boundary is fitted with much fairness and whose inside
-is harmonic in the straight picture of the meccano, or, where that cannot be untangled, as that picture itself. Springs
-of growing stiffness draw the boundary to ever better fits of the map, as far as the solid stays valid.
-
-From then on boundary points slide along the surface while the shapes of all elements are smoothed, held by springs
-between samples of the boundary and the points of the surface closest to them, and between samples of the surface and
-the points of the boundary closest to those, as far as they face the same way (`springs`). They begin soft, so that
-boundaries that the map left far off, or twisted, come along without a fold. Cells whose facets are farther from the
-surface than the tolerance are split with their neighbours, the solid is carried to the finer space as it is, and slides
-again around them. Fine tolerances are reached through coarser ones.
-
-A step that would leave an element without certificate is shortened around it, so what starts valid ends valid.
-
-Axis letters: n function, f facet, q sample point, v vertex of the surface, c component.
+Axis letters: c leaf cell, n function, e element.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import count
-from time import perf_counter
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
 
-from geometry.layouts.blocks import place
-from geometry.meccano.collocation import prolongation
-from geometry.meccano.errors import Errors, errors_of, feet, surface_samples, unit_normals
-from geometry.meccano.fitting import fit_boundary, greville_points, harmonic, laid
-from geometry.meccano.hierarchical import Hierarchy, hierarchy
-from geometry.meccano.skin import Skin, side_coordinates, skin_of, values_at, values_on
-from geometry.meccano.springs import SAMPLES, springs_to
-from geometry.meccano.tmesh import refined
-from geometry.simplices.closest import closest
-from geometry.simplices.surface import Surface
+from geometry.meccano.hierarchical import Hierarchy
+from geometry.meccano.skin import Skin
 from iga.distortion import own_shapes
 from iga.domain import Domain
-from iga.progress import QUIET, Progress
 from iga.scaled_jacobian import least_of_elements
-from iga.tether import Tether
-from iga.untangling import approach, smooth, untangle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Target = Callable[[Index, Array], Array]
 
-_SPACING = 0.01
-"""Of the samples of the surface at which errors are measured, in diagonals."""
-
-
-@dataclass(frozen=True)
-class Aims:
-    """What a solid should be.
-
-    Attributes
-    ----------
-    tolerance : distance from the surface, both ways.
-    max_cells : most cells of the T-mesh.
-    rounds : most rounds of refinement for each of the tolerances gone through.
-    slides : rounds of smoothing of poor shapes at the end.
-    """
-
-    tolerance: float
-    max_cells: int
-    rounds: int = 8
-    slides: int = 1
+POOR = 0.3
+"""Scaled Jacobian of badly shaped elements."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,171 +60,6 @@ class Solid:
         return mask
 
 
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """What all steps need: the surface, where the map puts points of the boundary, samples (k, 3) of the surface."""
-
-    surface: Surface
-    target: Target
-    aims: Aims
-    there: Array
-    shown: Progress
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """A solid, where the map puts samples of its facets (f q, 3), and how far it is off."""
-
-    solid: Solid
-    aim: Array
-    errors: Errors
-
-    def excess(self, aims: Aims) -> float:
-        """What facets are off beyond the tolerance, in all."""
-        return float(np.maximum(self.errors.worst / aims.tolerance - 1.0, 0.0).sum())
-
-
-def solid_of(
-    start: Hierarchy, target: Target, surface: Surface, aims: Aims, shown: Progress = QUIET
-) -> tuple[Solid, list[dict[str, Any]]]:
-    """Grow a solid.
-
-    Parameters
-    ----------
-    start : the coarse space.
-    target : points (q, 3) of the surface for boundary sides (q,) and coordinates s (q, 2).
-    surface : the surface.
-
-    Returns
-    -------
-    The solid, and numbers of each round for a report; the last says why growth ended.
-    """
-    history: list[dict[str, Any]] = []
-    began = perf_counter()
-    task = _Task(surface, target, aims, surface_samples(surface, _SPACING)[0], shown)
-
-    def note(stage: str, state: _State) -> None:
-        errors = state.errors
-        history.append({
-            "stage": stage, "cells": state.solid.space.tmesh.cells, "invalid": len(state.solid.invalid),
-            "away": float(errors.away.max()), "missed": float(errors.missed.max()),
-            "facets_off": int((errors.worst > aims.tolerance).sum()), "seconds": perf_counter() - began,
-        })
-        shown.say(", ".join(f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
-                            for key, value in history[-1].items()))
-
-    solid = _first(start, target, shown)
-    aim = target(*side_coordinates(solid.skin, SAMPLES))
-    for fairness in _FAIRNESS:
-        solid = _drawn(solid, aim, fairness, aims, shown)
-    state = _measured(task, solid, aim)
-    note("drawing", state)
-    for tolerance in nested(aims.tolerance, surface.diagonal):
-        state, ended = _grown(replace(task, aims=replace(aims, tolerance=tolerance)), state, start, note)
-        if ended:
-            break
-    state = _finished(task, state)
-    note("fitting", state)
-    history[-1]["ended"] = ended if state.excess(aims) else "within the tolerance"
-    return state.solid, history
-
-
-def nested(tolerance: float, diagonal: float) -> list[float]:
-    """Tolerances to go through: a fine one by halves from `_COARSE` diagonals, so that springs are soft at first."""
-    halves = max(int(np.floor(np.log2(_COARSE * diagonal / tolerance) + 1e-9)), 0)
-    return [tolerance * 2.0**k for k in range(halves, -1, -1)]
-
-
-def _grown(task: _Task, state: _State, start: Hierarchy, note: Callable[[str, _State], None]) -> tuple[_State, str]:
-    """A solid slid and refined until it is within the tolerance, or what stops it."""
-    for step in count():
-        state = _settled(task, state, state.solid.space is start)
-        note("sliding", state)
-        marks = _marked(state.solid, state.errors, task.aims)
-        if not len(marks):
-            break
-        if step == task.aims.rounds:
-            return state, "rounds spent"
-        finer = _finer(state.solid, marks, task.aims)
-        if finer is None:
-            return state, "cells spent"
-        state = _measured(task, finer)
-    return state, ""
-
-
-def _measured(task: _Task, solid: Solid, aim: Array | None = None) -> _State:
-    aim = task.target(*side_coordinates(solid.skin, SAMPLES)) if aim is None else aim
-    return _State(solid, aim, errors_of(solid.skin, solid.points, aim, task.there, task.surface))
-
-
-def _settled(task: _Task, state: _State, whole: bool) -> _State:
-    """A solid that has slid on its mesh, as a whole or around what is off, until limbs come no farther."""
-    # What the coarse mesh leaves far off stays off: there patience costs little.
-    free = np.ones(state.solid.space.space.n, dtype=bool) if whole else None
-    for softness in _GRADES if whole else _FINE:
-        # Soft springs only where there is some way to go.
-        if softness * task.aims.tolerance <= state.errors.worst.max():
-            state = _slid(task, state, softness, free, whole)
-    state = _slid_on(task, _slid(task, state, 1.0, free, whole), _LIMB)
-    if len(state.solid.invalid):
-        state = _measured(task, _untangled(state.solid, True, task.shown), state.aim)
-    return state
-
-
-def _finished(task: _Task, state: _State) -> _State:
-    """A solid on its last mesh: nearer to the surface by stiffer springs and by fitting, and poor shapes smoothed."""
-    aims = task.aims
-    for softness in _LAST:
-        state = _slid_on(task, state, 0.0, softness)
-    # Springs leave the solid to one side of the surface, within the tolerance; a fit does not, so its volume is right.
-    snapped = _measured(task, _snapped(state.solid, task.surface, state.aim, aims), state.aim)
-    if snapped.excess(aims) <= state.excess(aims):
-        state = snapped
-    for _ in range(aims.slides):
-        bad = poor(state.solid)
-        if bad.any():
-            better = _slid(task, state, _LAST[-1], bad)
-            # Shapes may not cost nearness.
-            if better.excess(aims) <= state.excess(aims):
-                state = better
-    return state
-
-
-def _slid_on(task: _Task, state: _State, limit: float, softness: float = 1.0) -> _State:
-    """Slide while that lowers what is off, and something is by more than ``limit`` tolerances."""
-    while state.excess(task.aims) and state.errors.worst.max() > limit * task.aims.tolerance:
-        tried = _slid(task, state, softness, patient=True)
-        before, now = state.excess(task.aims), tried.excess(task.aims)
-        if now < before:
-            state = tried
-        if now > _PROGRESS * before:
-            break
-    return state
-
-
-def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None, patient: bool = False) -> _State:
-    """Smooth while free functions slide along the surface, by default those around what is off.
-
-    Where something is far from the surface, elements may not fold on the way, and a patient slide takes more turns and
-    moves elements under what is off too, which must make way for it.
-    """
-    solid, tolerance = state.solid, task.aims.tolerance
-    far = bool(state.errors.worst.max() > _LIMB * tolerance)
-    turns, steps = _PATIENT if patient and far else _QUICK
-    if free is None:
-        off = np.zeros(solid.space.tmesh.cells, dtype=bool)
-        off[solid.skin.cell[state.errors.worst > tolerance]] = True
-        free = acting(solid, off)
-        if patient and far:
-            free = acting(solid, moved(solid, free))
-    springs = springs_to(task.surface, solid.skin, tolerance, softness, state.aim, free, softness > _LEADING)
-    found = smooth(
-        solid.domain, free, rounds=turns, iterations=steps, power=_POWER, tether=springs, repairs=1, folds=not far,
-        shown=task.shown,
-    )
-    return _measured(task, replace(solid, points=found.points, invalid=found.invalid), state.aim)
-
-
 def moved(solid: Solid, functions: Mask) -> Mask:
     """(c,) leaf cells that some functions (n,) act on."""
     mask = np.zeros(solid.space.tmesh.cells, dtype=bool)
@@ -291,77 +78,11 @@ def acting(solid: Solid, cells: Mask) -> Mask:
     return mask
 
 
-# First solid: rounds of untangling, fairness of the fits that the boundary is drawn to, stiffness of the springs there.
-_TRIES = 8
-_FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
-_STIFF = (1.0, 10.0, 100.0)
-# Tolerance, in diagonals, from which finer ones are halved.
-_COARSE = 0.004
-# Softness of springs on the first mesh and on finer ones, before it is 1, on the last one, and down to which the map
-# leads.
-_GRADES = (8.0, 8.0, 8.0, 4.0, 4.0, 2.0)
-_FINE = (2.0,)
-_LAST = (1.0, 0.5)
-_LEADING = 2.0
-# Sliding goes on while it leaves this share of what is off, on meshes that can be refined while something is off by so
-# many tolerances.
-_PROGRESS = 0.8
-_LIMB = 3.0
-# Of a slide: rounds and steps of descent, also where it is patient; power of the mean ratio. At the end, the scaled
-# Jacobian of poor shapes.
-_QUICK = (2, 30)
-_PATIENT = (6, 40)
-_POWER = 4.0
-_POOR = 0.3
-# Refinement: facets off by this share of the worst at least, most cells for each cell.
-_SHARE = 0.2
-_GROWTH = 2.2
-
-
-def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
-    """A smooth, valid solid near the surface: its sides are nearly bilinear.
-
-    Where the inside of that cannot be untangled, the start is the picture of the meccano itself, laid onto the surface.
-    """
-    skin = skin_of(space)
-    block, xi = greville_points(space)
-    picture = place(space.tmesh.blocks, block, xi)
-    where = target(*side_coordinates(skin, SAMPLES))
-    blob = fit_boundary(skin, picture, SAMPLES, where, fairness=100.0)
-    for points in (harmonic(space, blob, skin.functions), laid(picture, values_at(skin, SAMPLES), where)):
-        solid = _untangled(Solid(space, skin, points, np.empty((0, 2), dtype=np.int64)), False, shown)
-        if not len(solid.invalid):
-            break
-    return solid
-
-
-def _untangled(solid: Solid, boundary: bool, shown: Progress) -> Solid:
-    """Untangle by inner control points, or by all."""
-    found = untangle(solid.domain, solid.inner | boundary, rounds=_TRIES, patience=2, shown=shown)
-    return replace(solid, points=found.points, invalid=found.invalid)
-
-
-def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progress) -> Solid:
-    """Draw the boundary towards its fit to ``aim`` with ever stiffer springs, as far as the solid stays valid."""
-    skin = solid.skin
-    wanted = fit_boundary(skin, solid.points, SAMPLES, aim, fairness=fairness)[skin.functions]
-    rows, n = len(skin.functions), solid.space.space.n
-    pick = csr_array((np.ones(rows), (np.arange(rows), skin.functions)), shape=(rows, n))
-    size = sizes_of(solid)[skin.functions]
-    springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in _STIFF]
-    free = np.ones(n, dtype=bool)
-    found = smooth(solid.domain, free, iterations=30, tether=springs, shown=shown)
-    goal = found.points.copy()
-    goal[skin.functions] = wanted
-    made = approach(replace(solid.domain, points=found.points), goal)
-    return replace(solid, points=made.points, invalid=made.invalid)
-
-
 def poor(solid: Solid) -> Mask:
     """(n,) functions that act on badly shaped elements."""
     first = np.cumsum([0, *(block.elements for block in solid.space.space.blocks)])
     block, element = solid.space.element.T
-    return acting(solid, least_of_elements(solid.domain)[first[block] + element] < _POOR)
+    return acting(solid, least_of_elements(solid.domain)[first[block] + element] < POOR)
 
 
 def sizes_of(solid: Solid) -> Array:
@@ -371,54 +92,3 @@ def sizes_of(solid: Solid) -> Array:
         own = np.cbrt(np.abs(np.linalg.det(shapes)))
         np.minimum.at(size, block.dofs, own[:, None])
     return size
-
-
-def _marked(solid: Solid, errors: Errors, aims: Aims) -> Index:
-    """Cells to split, the worst first."""
-    worst = np.zeros(solid.space.tmesh.cells)
-    np.maximum.at(worst, solid.skin.cell, errors.worst / aims.tolerance)
-    # Limbs first: most of what is off by little elsewhere will be right once they are drawn out.
-    worst[worst <= max(1.0, _SHARE * worst.max())] = 0.0
-    worst[solid.uncertified] += 1.0
-    cells = np.flatnonzero(worst)
-    return cells[np.argsort(-worst[cells], kind="stable")]
-
-
-def _finer(solid: Solid, marks: Index, aims: Aims) -> Solid | None:
-    """The same solid with the worst cells split: not many times as many cells at once, where that is possible."""
-    # Blocks of one cell are split all or none, because cells on the two sides of a block's side have one size.
-    some = _refined(solid, marks, int(min(aims.max_cells, _GROWTH * solid.space.tmesh.cells)))
-    return some if some is not None else _refined(solid, marks, aims.max_cells)
-
-
-def _refined(solid: Solid, marks: Index, most: int) -> Solid | None:
-    """The same solid with marked cells split, as many as ``most`` cells allow; None if that allows none."""
-    while len(marks):
-        # A cell split without its neighbours adds no function.
-        tmesh = refined(solid.space.tmesh, marks, reach=1)
-        if tmesh.cells <= most:
-            space = hierarchy(tmesh, solid.space.degree)
-            return Solid(space, skin_of(space), prolongation(solid.space, space) @ solid.points, solid.invalid[:0])
-        marks = marks[: (2 * len(marks)) // 3]
-    return None
-
-
-def _snapped(solid: Solid, surface: Surface, aim: Array, aims: Aims) -> Solid:
-    """Fit the boundary to the closest points of the surface, and to points of it (k, 3) that it misses."""
-    A = values_at(solid.skin, SAMPLES)
-    near, _, triangle = closest(surface.points, surface.triangles, A @ solid.points)
-    there = np.concatenate([aim, surface_samples(surface, _SPACING)[0]])
-    facet, u, gap, _ = feet(solid.skin, solid.points, there)
-    far = gap > 0.3 * aims.tolerance
-    there, B = there[far], csr_array((0, solid.space.space.n))
-    if len(there):
-        B = values_on(solid.skin, facet[far], u[far])
-    way = there - B @ solid.points
-    normals = np.concatenate([unit_normals(surface)[triangle], way / np.linalg.norm(way, axis=1, keepdims=True)])
-    weights = np.full(len(near) + int(far.sum()), 1.0 / len(SAMPLES))
-    goal = fit_boundary(
-        solid.skin, solid.points, csr_array(vstack([A, B])), np.concatenate([near, there]), normals, along=0.05,
-        fairness=1e-4, weights=weights,
-    )
-    made = approach(solid.domain, goal)
-    return replace(solid, points=made.points, invalid=made.invalid)

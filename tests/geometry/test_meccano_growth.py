@@ -9,10 +9,11 @@ from geometry.layouts.boundary_map import boundary_map, carried, on_surface
 from geometry.layouts.partition import partition
 from geometry.meccano.errors import Errors
 from geometry.meccano.fitting import laid
+from geometry.meccano.growth import Aims, _marked, nested, solid_of
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.shapes import ball
 from geometry.meccano.skin import skin_of
-from geometry.meccano.solid import Aims, Solid, _marked, nested, solid_of
+from geometry.meccano.solid import Solid
 from geometry.meccano.tmesh import uniform
 from iga.certificate import certify
 from iga.scaled_jacobian import least_of_elements
