@@ -26,7 +26,7 @@ r"""The geometry source "meccano": closed surface triangulations as spline volum
                 triangles that cross each other (default false)
 
 The surface is divided into one patch for each boundary side of the meccano, each patch is laid on its side by mean
-values, and the solid is grown into that map (`solid`). Refinement is exact.
+values, and the solid is grown into that map (`growth`). Refinement is exact.
 """
 
 from __future__ import annotations
