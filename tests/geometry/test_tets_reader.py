@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from pathlib import Path
 
 import meshio
@@ -372,6 +373,19 @@ def small_files(tmp_path_factory) -> list[tuple[str, bytes]]:
     meshio.write(folder / "ascii.msh", meshio.Mesh(points, [("tetra", cells)]), file_format="gmsh", binary=False)
     meshio.write(folder / "old.msh", meshio.Mesh(points, [("tetra", cells)]), file_format="gmsh22", binary=False)
     return [(path.suffix, path.read_bytes()) for path in [*made, folder / "ascii.msh", folder / "old.msh"]]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is bounded on Linux only")
+def test_a_label_that_asks_for_all_memory_is_refused(tmp_path):
+    points, cells = nodes_of(ball(0, 1), "vtk")
+    path = tmp_path / "label.msh"
+    meshio.write(path, meshio.Mesh(points, [("tetra", cells)]), file_format="gmsh22", binary=False)
+    text = path.read_text()
+    assert build(path).space.n == len(points)
+    path.write_text(text.replace(f"\n{len(points)} ", "\n2000000000 "))
+    with pytest.raises(FormatError, match="MemoryError"):
+        build(path)
+    np.ones(10**7)  # and there is memory again
 
 
 @settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
