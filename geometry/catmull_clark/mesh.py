@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geometry.catmull_clark.topology import Topology, build_topology, check_topology, orient
-from geometry.quiet import quiet, within_memory
+from geometry.guarded import guarded
 from iga.cells import HEXAHEDRON
 from iga.errors import FormatError, InputError
 
@@ -185,7 +185,7 @@ def _read(path: Path) -> Any:
     if not path.is_file():
         raise FormatError(f"{path} does not exist or is no file")
     try:
-        with quiet() as said, within_memory(path):
+        with guarded(path) as said:
             return meshio.read(path)
     except (SystemExit, Exception) as error:  # meshio exits on unknown files and raises anything on damaged ones
         reason = str(error) if not isinstance(error, SystemExit) else said.getvalue()

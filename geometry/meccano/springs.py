@@ -82,7 +82,6 @@ def springs_to(
     touched = np.ones(len(skin.cell), dtype=bool) if free is None else _touched(skin, free)
     own = np.repeat(touched, len(SAMPLES))
     A, aims = csr_array(values_at(skin, SAMPLES)[own]), aim[own]
-    back = _laid_there(surface, aim, there, normals)
 
     def from_boundary(points: Array) -> _Pulls:
         x = A @ points
@@ -93,8 +92,9 @@ def springs_to(
     def from_surface(points: Array) -> _Pulls:
         facet, u, missed, ways = feet(skin, points, there)
         lost = (missed > tolerance) & ((ways * normals).sum(axis=1) < FACING)
-        sample = back[lost]
-        facet[lost], u[lost] = sample // len(SAMPLES), SAMPLES[sample % len(SAMPLES)]
+        if lost.any():
+            sample = _laid_there(surface, aim, there[lost], normals[lost])
+            facet[lost], u[lost] = sample // len(SAMPLES), SAMPLES[sample % len(SAMPLES)]
         each = np.bincount(facet, minlength=len(skin.cell))[facet]
         mine = touched[facet]
         B, places, across = values_on(skin, facet[mine], u[mine]), there[mine], normals[mine]

@@ -22,7 +22,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from geometry.quiet import quiet, within_memory
+from geometry.guarded import guarded
 from geometry.simplices.mending import mended
 from geometry.simplices.surface import Surface, checked_surface, fans, require_numbers
 from iga.errors import FormatError, InputError
@@ -152,7 +152,7 @@ def _load(path: Path) -> meshio.Mesh:
     if path.suffix.lower() not in ENDINGS:
         raise FormatError(f"{path}: {path.suffix!r} is no ending of a surface file ({' '.join(ENDINGS)})")
     try:
-        with quiet(), within_memory(path):
+        with guarded(path):
             if path.suffix.lower() == ".obj":
                 return meshio.read(_geometry_lines(path), file_format="obj")
             if path.suffix.lower() == ".off":

@@ -21,7 +21,7 @@ from meshio._helpers import extension_to_filetypes
 from meshio.gmsh import _gmsh41
 from numpy.typing import NDArray
 
-from geometry.quiet import quiet, within_memory
+from geometry.guarded import guarded
 from geometry.tet_to_hex import degree_of
 from geometry.tets.mesh import LARGEST, TetMesh, checked_mesh
 from geometry.tets.order import ORDERS, node_columns, node_exponents
@@ -90,7 +90,7 @@ def _load(path: Path) -> meshio.Mesh:
     if not any(path.name.lower().endswith(ending) for ending in extensions()):
         raise FormatError(f"{path}: {path.suffix!r} is no ending of a known mesh format ({' '.join(extensions())})")
     try:
-        with quiet() as said, within_memory(path):
+        with guarded(path) as said:
             mesh = _read_with_partial_tags(path)
     except (Exception, SystemExit) as error:
         # meshio prints the reason before it exits.

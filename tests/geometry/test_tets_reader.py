@@ -1,16 +1,12 @@
-"""Reading tet meshes: node orders, named boundaries, what is wrong with a mesh, and files that are no files."""
+"""Reading tet meshes: node orders, named boundaries, what is wrong with a mesh."""
 
 from __future__ import annotations
 
 import shutil
-import sys
-from pathlib import Path
 
 import meshio
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from geometry.tet_to_hex import degree_of
 from geometry.tets.domain import domain_of
@@ -19,9 +15,10 @@ from geometry.tets.order import node_columns, node_exponents
 from geometry.tets.reader import nodes_to_bernstein, read_tets
 from geometry.tets.shapes import ball, cube, mapped
 from geometry.tets.source import build, reads
-from iga.bernstein import bernstein, greville
+from iga.bernstein import bernstein
 from iga.cells import TETRAHEDRON
 from iga.errors import FormatError, InputError
+from tests.geometry.tets_files import nodes_of, write
 
 # Interior and face nodes as Gmsh 4.15 lists them (element properties of "Tetrahedron 3" and "Tetrahedron 4").
 GMSH_3 = "3000 0300 0030 0003 2100 1200 0210 0120 1020 2010 1002 2001 0012 0021 0102 0201 1110 1101 1011 0111"
@@ -29,24 +26,6 @@ GMSH_4 = (
     "4000 0400 0040 0004 3100 2200 1300 0310 0220 0130 1030 2020 3010 1003 2002 3001 0013 0022 0031 0103 0202 0301 "
     "2110 1120 1210 2101 1201 1102 2011 1012 1021 0112 0211 0121 1111"
 )
-
-
-def nodes_of(mesh: TetMesh, order: str) -> tuple[np.ndarray, np.ndarray]:
-    """Node coordinates and connectivity of a mesh's Lagrange form, nodes shared between neighbours."""
-    basis = bernstein(TETRAHEDRON, mesh.degree)
-    values = basis.tabulate(greville(basis), 0)[0] @ mesh.coefficients
-    back = np.argsort(node_columns(mesh.degree, order))
-    flat = values[:, back].reshape(-1, 3)
-    first, inverse = np.unique(np.round(flat, 10), axis=0, return_index=True, return_inverse=True)[1:]
-    return flat[first], inverse.reshape(len(values), -1)
-
-
-def write(path: Path, mesh: TetMesh, order: str = "vtk") -> Path:
-    points, cells = nodes_of(mesh, order)
-    kind = {1: "tetra", 2: "tetra10", 3: "tetra20", 4: "tetra35", 5: "tetra56", 6: "tetra84"}[mesh.degree]
-    options: dict = {".msh": {"file_format": "gmsh"}, ".vtu": {"binary": False}, ".vtk": {"binary": False}}
-    meshio.write(path, meshio.Mesh(points, [(kind, cells)]), **options.get(path.suffix, {}))
-    return path
 
 
 def bend(x: np.ndarray) -> np.ndarray:
@@ -349,79 +328,6 @@ def test_a_node_that_is_not_there(tmp_path):
     (tmp_path / "far.mesh").write_text(text)
     with pytest.raises(FormatError, match="cell 0 names a node"):
         read_tets(tmp_path / "far.mesh")
-
-
-@pytest.mark.parametrize("file", ["sphere_P2.msh", "sphere_P4.msh", "escher_P2.vtk", "torus.msh", "bunny.mesh"])
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.6, 0.9])
-def test_truncated_files(file, share, tmp_path, data, capsys):
-    source = data / "tet" / file
-    (tmp_path / file).write_bytes(source.read_bytes()[: int(share * source.stat().st_size)])
-    with pytest.raises(InputError) as raised:
-        read_tets(tmp_path / file)
-    assert str(raised.value).startswith(str(tmp_path / file))
-    assert "\n" not in str(raised.value)
-    assert capsys.readouterr() == ("", "")
-
-
-@pytest.fixture(scope="module")
-def small_files(tmp_path_factory) -> list[tuple[str, bytes]]:
-    folder = tmp_path_factory.mktemp("small")
-    mesh = ball(0, 1)
-    made = [write(folder / f"ball1{ending}", mesh) for ending in (".mesh", ".vtu", ".vtk", ".inp", ".msh")]
-    made += [write(folder / "ball2.msh", ball(0, 2)), write(folder / "ball3.msh", ball(0, 3), "gmsh")]
-    points, cells = nodes_of(mesh, "vtk")
-    meshio.write(folder / "ascii.msh", meshio.Mesh(points, [("tetra", cells)]), file_format="gmsh", binary=False)
-    meshio.write(folder / "old.msh", meshio.Mesh(points, [("tetra", cells)]), file_format="gmsh22", binary=False)
-    return [(path.suffix, path.read_bytes()) for path in [*made, folder / "ascii.msh", folder / "old.msh"]]
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="memory is bounded on Linux only")
-def test_a_label_that_asks_for_all_memory_is_refused(tmp_path):
-    points, cells = nodes_of(ball(0, 1), "vtk")
-    path = tmp_path / "label.msh"
-    meshio.write(path, meshio.Mesh(points, [("tetra", cells)]), file_format="gmsh22", binary=False)
-    text = path.read_text()
-    assert build(path).space.n == len(points)
-    path.write_text(text.replace(f"\n{len(points)} ", "\n2000000000 "))
-    with pytest.raises(FormatError, match="MemoryError"):
-        build(path)
-    np.ones(10**7)  # and there is memory again
-
-
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    st.integers(0, 8),
-    st.lists(
-        st.tuples(st.floats(0, 1), st.sampled_from(["flip", "cut", "double", "digit", "zero"]), st.integers(1, 255)),
-        min_size=1,
-        max_size=4,
-    ),
-)
-def test_mutated_files_are_read_or_refused(small_files, tmp_path, which, changes):
-    ending, content = small_files[which]
-    data = bytearray(content)
-    for place, kind, value in changes:
-        at = min(int(place * len(data)), len(data) - 1)
-        if at < 0:
-            break
-        if kind == "flip":
-            data[at] ^= value
-        elif kind == "cut":
-            del data[at : at + value]
-        elif kind == "double":
-            data[at:at] = data[at : at + value]
-        elif kind == "digit":
-            data[at] = ord("0") + value % 10
-        else:
-            data[at] = 0
-    path = tmp_path / f"mutated{ending}"
-    path.write_bytes(bytes(data))
-    try:
-        domain = build(path)
-    except InputError as error:
-        assert "\n" not in str(error)
-    else:
-        assert np.isfinite(domain.points).all()
 
 
 def test_what_the_source_claims_to_read(tmp_path, data):

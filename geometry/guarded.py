@@ -1,4 +1,4 @@
-"""Silence and a bound on memory around libraries that print, warn, leave arrays half read and believe every number."""
+"""A guard around libraries that print, warn, leave arrays half read and believe every number of a file."""
 
 from __future__ import annotations
 
@@ -12,23 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-
-@contextlib.contextmanager
-def quiet() -> Iterator[io.StringIO]:
-    """Keep what is printed in a text; text that ends in the middle of an array is an error, other warnings are not."""
-    said = io.StringIO()
-    with (
-        contextlib.redirect_stdout(said),
-        contextlib.redirect_stderr(said),
-        warnings.catch_warnings(),
-        np.errstate(all="ignore"),
-    ):
-        warnings.simplefilter("ignore")
-        # NumPy only warns when text ends or turns unreadable in the middle of an array.
-        warnings.filterwarnings("error", message=".*could not be read to its end.*")
-        yield said
-
-
 ROOM = 1_000_000_000
 """Bytes that any file may take while it is read."""
 EACH = 400
@@ -36,12 +19,30 @@ EACH = 400
 
 
 @contextlib.contextmanager
-def within_memory(path: Path) -> Iterator[None]:
-    """Let what reads a file take memory in proportion to its size; what asks for more gets a MemoryError.
+def guarded(path: Path) -> Iterator[io.StringIO]:
+    """Read a file in silence and in memory in proportion to its size.
 
-    A single damaged number, taken for a count or a largest label, may otherwise ask for all the memory there is, and
-    end the process. Only Linux tells what is in use; elsewhere there is no bound.
+    What is printed is kept in a text. Text that ends in the middle of an array is an error, other warnings are not.
+    What asks for more memory gets a MemoryError: a damaged number, taken for a count or a largest label, may otherwise
+    ask for all there is, and end the process.
     """
+    said = io.StringIO()
+    with (
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+        warnings.catch_warnings(),
+        np.errstate(all="ignore"),
+        _within(ROOM + EACH * path.stat().st_size),
+    ):
+        warnings.simplefilter("ignore")
+        # NumPy only warns when text ends or turns unreadable in the middle of an array.
+        warnings.filterwarnings("error", message=".*could not be read to its end.*")
+        yield said
+
+
+@contextlib.contextmanager
+def _within(room: int) -> Iterator[None]:
+    """Allow so many bytes more; only Linux tells what is in use, elsewhere there is no bound."""
     if sys.platform != "linux":
         yield
         return
@@ -49,9 +50,7 @@ def within_memory(path: Path) -> Iterator[None]:
 
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    bound = used + ROOM + EACH * path.stat().st_size
-    if soft != resource.RLIM_INFINITY:
-        bound = min(bound, soft)
+    bound = used + room if soft == resource.RLIM_INFINITY else min(used + room, soft)
     resource.setrlimit(resource.RLIMIT_AS, (bound, hard))
     try:
         yield
