@@ -33,7 +33,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from geometry.hybrid.affine import Creases, relaxed, spread
+from geometry.hybrid.affine import relaxed, spread
+from geometry.hybrid.creases import Creases
 from geometry.hybrid.fairing import fair_displacement
 from geometry.hybrid.field import field_under
 from geometry.hybrid.filling import LIMIT

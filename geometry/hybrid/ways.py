@@ -19,7 +19,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.affine import Creases, creases
+from geometry.hybrid.creases import Creases, creases
 from geometry.hybrid.field import Field, paths
 from geometry.hybrid.flat_corners import tangents_of
 from geometry.hybrid.shell import Shell

@@ -5,7 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from geometry.hybrid.affine import creases, relaxed, slopes, spread
+from geometry.hybrid.affine import relaxed, slopes, spread
+from geometry.hybrid.creases import creases
 from geometry.hybrid.layers import moved, traced
 from geometry.hybrid.shapes import SHAPES
 from geometry.hybrid.shell import Shell, shell_of
