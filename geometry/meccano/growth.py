@@ -11,6 +11,10 @@ boundaries that the map left far off, or twisted, come along without a fold. Cel
 surface than the tolerance are split with their neighbours, the solid is carried to the finer space as it is, and slides
 again around them. Fine tolerances are reached through coarser ones.
 
+Webs between limbs stay where elements below them are nearly folded: a descent that may fold elements on its way accepts
+that, and then what is around cannot move without a fold. So while something is far off no element may fold, and slides
+are patient on the first mesh and where they are repeated: more and shorter turns, elements below moving too.
+
 A step that would leave an element without certificate is shortened around it, so what starts valid ends valid.
 
 Axis letters: n function, f facet, q sample point, v vertex of the surface, c component.
