@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from geometry.cad.brep import Brep, Face, surface_frame
 from geometry.hybrid.banding import Banding, band_elements
-from geometry.hybrid.chart import Chart, lengths_of, to_chart, to_parameters
+from geometry.hybrid.chart import Chart, lengths_of, to_chart, to_parameters, widths
 from geometry.hybrid.grid import ALONG, Grid, followed
 from geometry.hybrid.outline import FaceError, Outline, Sides, cut_out, outline_of, regions
 from geometry.hybrid.pieces import Pieces
@@ -148,7 +148,6 @@ def _mesh_face(
     low, high = _rectangles(grid, band)
     points = np.concatenate([outline.points, to_chart(chart, extra)])
     sides = cut_out(face, uv, [*corners.tolist(), *nodes.tolist()], outline.leaving)
-    middle = outline.points.mean(axis=0)
     rest, made = points, [corners]
     for part in regions(points, sides):
         used = np.unique(np.concatenate(part))
@@ -158,7 +157,7 @@ def _mesh_face(
         apart = {(place[a], place[b]) for a, b in forced if a in place and b in place}
         try:
             mesh = triangulate(
-                points[used], loops, smooth, lambda at: _frame(face, chart, at, middle), lambda x: size_at(sizing, x),
+                points[used], loops, smooth, lambda at: _frame(face, chart, at), lambda x: size_at(sizing, x),
                 apart, where
             )
         except InputError as error:
@@ -301,16 +300,14 @@ def _inner_angles(arriving: Array, leaving: Array, normal: Array) -> Array:
     return np.where(size > 0.0, np.pi - turn, 0.0)
 
 
-def _frame(face: Face, chart: Chart, at: Array, middle: Array) -> tuple[Array, Array]:
-    """Points and unit normals of chart points; at poles the normal beside them, towards a point in the middle."""
+def _frame(face: Face, chart: Chart, at: Array) -> tuple[Array, Array]:
+    """Points and unit normals of chart points; zero at poles, where there may be many."""
     x, du, dv = surface_frame(face.surface, to_parameters(chart, at))
     n = np.cross(du, dv)
     length = np.linalg.norm(n, axis=1)
-    flat = length < 1e-6 * (np.median(length) if len(length) > 2 else 0.0)
-    if flat.any():
-        _, du, dv = surface_frame(face.surface, to_parameters(chart, at + 1e-4 * (middle - at)))
-        n[flat] = np.cross(du, dv)[flat]
-    return x, n / (np.linalg.norm(n, axis=1)[:, None] + 1e-300)
+    if chart.poles:
+        n[widths(chart, at) == 0.0] = 0.0
+    return x, n / (length[:, None] + 1e-300)
 
 
 def joined(points: Array, new: Array, scale: Array) -> tuple[Index, Array]:

@@ -34,6 +34,8 @@ NEAR = 1.5
 FAR = 2.5
 SHORT = 1.25
 GRADE = 0.5
+WIDER, STEEP = 1.5, 1.0
+"""The same from the sides of a boundary, which are shorter than wanted where they must be."""
 SAMPLES = 24
 BESIDE = 0.01
 """Share of the way from a pole to the middle of the parameters at which curvature is looked at instead."""
@@ -117,6 +119,13 @@ def size_at(sizing: Sizing, x: Array) -> Array:
     """Wanted size (q,) at points (q, 3)."""
     points, size = sizing.telling
     return np.asarray(_graded(np.ascontiguousarray(x), points, size, GRADE))
+
+
+def size_beside(points: Array, sides: Array, x: Array) -> Array:
+    """Size (q,) at points (q, 3) of elements that fit to sides of given lengths (n,) at points (n, 3) of a boundary."""
+    order = np.argsort(sides, kind="stable")
+    points = np.ascontiguousarray(points[order])
+    return np.asarray(_graded(np.ascontiguousarray(x), points, WIDER * sides[order], STEEP))
 
 
 def normal_curvature(surface: Any, uv: Array) -> Array:

@@ -1,8 +1,8 @@
 r"""Well-shaped triangulations of a trimmed region of a plane chart.
 
 The boundary is given: its vertices and segments stay. Ears are cut off the polygon (holes joined to it by bridges),
-then interior edges are split where they are longer than a wanted size in space, flipped and their vertices moved so
-that the shape in space improves:
+then interior edges are split where they are longer than a wanted size in space, or than the sides of the boundary
+nearby allow, flipped and their vertices moved so that the shape in space improves:
 
     quality of a triangle = 4 sqrt(3) area / (sum of squared sides) in space, 1 if equilateral,
 
@@ -22,7 +22,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from geometry.hybrid.ears import bridged, cut_ears, ear_quality, turn
+from geometry.hybrid.ears import bridged, cut_ears, ear_quality
+from geometry.hybrid.sizing import size_beside
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -33,6 +34,14 @@ SPLIT = 1.35
 TURN = 0.75
 """Largest angle (radians) between the normals at the ends of an interior edge."""
 PASSES = 40
+THIN = 1e-7
+"""Quality in the chart below which a triangle counts as turned over, however small it is."""
+BESIDE = 1e-3
+"""Share of an edge from a pole at which its normal is taken."""
+SHARE = 0.5
+"""Share of the longest boundary side at a vertex up to which edges from there may be longer than wanted: the boundary
+stays, and beside a long side of it small triangles would be slivers.
+"""
 LOOSE = 1.6
 """How much better the quality in space may be than that in the chart before the latter counts."""
 
@@ -69,9 +78,10 @@ def _neighbours(triangles: Any) -> Any:
 
 
 @njit(cache=True)
-def _quality(q: Any, x: Any, a: Any, b: Any, c: Any, ab: Any, bc: Any, ca: Any, smooth: Any, tiny: Any) -> Any:
+def _quality(q: Any, x: Any, a: Any, b: Any, c: Any, ab: Any, bc: Any, ca: Any, smooth: Any) -> Any:
     """Quality of triangle abc; ab, bc, ca say which sides are boundary."""
-    if turn(q, a, b, c) <= tiny:
+    plane = ear_quality(q, a, b, c)
+    if not plane > THIN:
         return -1.0
     e0, e1, f0, f1, g0, g1 = (x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[c, 0] - x[a, 0], x[c, 1] - x[a, 1],
                               x[b, 2] - x[a, 2], x[c, 2] - x[a, 2])
@@ -81,16 +91,16 @@ def _quality(q: Any, x: Any, a: Any, b: Any, c: Any, ab: Any, bc: Any, ca: Any, 
     s += (f0 - e0) ** 2 + (f1 - e1) ** 2 + (g1 - g0) ** 2
     value = 2.0 * np.sqrt(3.0) * area / (s + 1e-300)
     # Corners far apart on a surface that curls may look well placed in space.
-    value = min(value, LOOSE * ear_quality(q, a, b, c))
+    value = min(value, LOOSE * plane)
     if (ab and bc and smooth[b]) or (bc and ca and smooth[c]) or (ca and ab and smooth[a]):
         value *= 0.01
     return value
 
 
 @njit(cache=True)
-def _triangle_quality(q: Any, x: Any, triangles: Any, adjacent: Any, smooth: Any, tiny: Any, t: Any) -> Any:
+def _triangle_quality(q: Any, x: Any, triangles: Any, adjacent: Any, smooth: Any, t: Any) -> Any:
     a, b, c = triangles[t]
-    return _quality(q, x, a, b, c, adjacent[t, 0] < 0, adjacent[t, 1] < 0, adjacent[t, 2] < 0, smooth, tiny)
+    return _quality(q, x, a, b, c, adjacent[t, 0] < 0, adjacent[t, 1] < 0, adjacent[t, 2] < 0, smooth)
 
 
 @njit(cache=True)
@@ -108,11 +118,11 @@ def _relink(adjacent: Any, t: Any, old: Any, new: Any) -> None:
 
 
 @njit(cache=True)
-def _flip(q: Any, x: Any, triangles: Any, adjacent: Any, smooth: Any, tiny: Any) -> Any:
+def _flip(q: Any, x: Any, triangles: Any, adjacent: Any, smooth: Any) -> Any:
     """Flip edges while the worse of their two triangles improves; number of flips."""
     quality = np.empty(len(triangles))
     for t in range(len(triangles)):
-        quality[t] = _triangle_quality(q, x, triangles, adjacent, smooth, tiny, t)
+        quality[t] = _triangle_quality(q, x, triangles, adjacent, smooth, t)
     fresh = np.ones(len(triangles), dtype=np.bool_)  # changed since their edges were looked at
     total = 0
     for _ in range(60):
@@ -133,11 +143,11 @@ def _flip(q: Any, x: Any, triangles: Any, adjacent: Any, smooth: Any, tiny: Any)
                 if (bc >= 0 and bc == db) or (ca >= 0 and ca == ad):
                     continue  # would make two triangles with the same corners
                 old = min(quality[t], quality[s])
-                least = old * 1.0001 + 1e-12
-                one = _quality(q, x, c, a, d, ca < 0, ad < 0, False, smooth, tiny)
+                least = old + 1e-4 * abs(old) + 1e-12
+                one = _quality(q, x, c, a, d, ca < 0, ad < 0, False, smooth)
                 if one <= least:
                     continue
-                two = _quality(q, x, d, b, c, db < 0, bc < 0, False, smooth, tiny)
+                two = _quality(q, x, d, b, c, db < 0, bc < 0, False, smooth)
                 if two > least:
                     triangles[t, 0], triangles[t, 1], triangles[t, 2] = c, a, d
                     triangles[s, 0], triangles[s, 1], triangles[s, 2] = d, b, c
@@ -192,7 +202,7 @@ def _split(q: Any, triangles: Any, adjacent: Any, marked: Any, n: Any, count: An
 
 @njit(cache=True)
 def _move(
-    q: Any, x: Any, q_new: Any, x_new: Any, triangles: Any, adjacent: Any, smooth: Any, tiny: Any, fixed: Any,
+    q: Any, x: Any, q_new: Any, x_new: Any, triangles: Any, adjacent: Any, smooth: Any, fixed: Any,
     first: Any, around: Any,
 ) -> Any:  # fmt: skip
     """Take proposed places of interior vertices where the worst triangle around improves."""
@@ -200,11 +210,11 @@ def _move(
     for v in range(fixed, len(q)):
         old = new = 1.0
         for i in range(first[v], first[v + 1]):
-            old = min(old, _triangle_quality(q, x, triangles, adjacent, smooth, tiny, around[i]))
+            old = min(old, _triangle_quality(q, x, triangles, adjacent, smooth, around[i]))
         kept_q, kept_x = q[v].copy(), x[v].copy()
         q[v], x[v] = q_new[v], x_new[v]
         for i in range(first[v], first[v + 1]):
-            new = min(new, _triangle_quality(q, x, triangles, adjacent, smooth, tiny, around[i]))
+            new = min(new, _triangle_quality(q, x, triangles, adjacent, smooth, around[i]))
         if new > old:
             moved += 1
         else:
@@ -228,7 +238,7 @@ def triangulate(
     boundary : (n, 2) vertices of the polygons in the chart.
     loops : their vertex numbers, the outer loop first, the inside on the left.
     smooth : (n,) whether the boundary is smooth at a vertex.
-    frame : points and unit normals in space (q, 3) of chart points (q, 2).
+    frame : points and unit normals in space (q, 3) of chart points (q, 2), zero normals at poles.
     size : wanted length of edges (q,) at points in space (q, 3).
     forced : pairs of boundary vertices that no interior edge may join.
     where : name for messages.
@@ -245,38 +255,44 @@ def triangulate(
     adjacent = _neighbours(triangles)
     q = boundary.copy()
     x, normal = frame(q)
-    area = 0.5 * sum(turn(q, *t) for t in triangles.tolist())
-    tiny = 1e-7 * area / len(triangles)
-    _flip(q, x, triangles, adjacent, smooth, tiny)
+    _flip(q, x, triangles, adjacent, smooth)
+    ends, longest = x, _longest_sides(x, loops)
+    room = SHARE * longest
+
+    def least(at: Array) -> Array:
+        return np.minimum(size(at), size_beside(ends, longest, at))
+
     for round_ in range(PASSES):
-        marked = _marked(q, x, normal, triangles, adjacent, smooth, size, forced)
+        marked = _marked(q, x, normal, triangles, adjacent, smooth, frame, least, room, forced)
         if len(marked) == 0:
             break
         q, triangles, adjacent = _grown(q, triangles, adjacent, marked)
         more, more_normal = frame(q[len(x) :])
         x, normal = np.concatenate([x, more]), np.concatenate([normal, more_normal])
         smooth = np.concatenate([smooth, np.zeros(len(more), dtype=bool)])
-        _flip(q, x, triangles, adjacent, smooth, tiny)
+        room = np.concatenate([room, np.zeros(len(more))])
+        _flip(q, x, triangles, adjacent, smooth)
         for _ in range(3 if round_ < PASSES - 1 else 10):
-            x, normal = _smoothed(q, x, normal, triangles, adjacent, smooth, tiny, fixed, frame)
-            _flip(q, x, triangles, adjacent, smooth, tiny)
+            x, normal = _smoothed(q, x, normal, triangles, adjacent, smooth, fixed, frame)
+            _flip(q, x, triangles, adjacent, smooth)
     for _ in range(8):
-        x, normal = _smoothed(q, x, normal, triangles, adjacent, smooth, tiny, fixed, frame)
-        if not _flip(q, x, triangles, adjacent, smooth, tiny):
+        x, normal = _smoothed(q, x, normal, triangles, adjacent, smooth, fixed, frame)
+        if not _flip(q, x, triangles, adjacent, smooth):
             break
     return Triangulation(q, triangles)
 
 
 def _marked(
     q: Array, x: Array, normal: Array, triangles: Index, adjacent: Index, smooth: NDArray[np.bool_],
-    size: Callable[[Array], Array], forced: set[tuple[int, int]],
+    frame: Callable[[Array], tuple[Array, Array]], size: Callable[[Array], Array], room: Array,
+    forced: set[tuple[int, int]],
 ) -> Index:  # fmt: skip
     """Interior edges (m, 2) to split, the worst first."""
     t, k = np.nonzero(adjacent > np.arange(len(triangles))[:, None])
     a, b = triangles[t, k], triangles[t, (k + 1) % 3]
     length = np.linalg.norm(x[a] - x[b], axis=1)
-    ratio = length / size(0.5 * (x[a] + x[b]))
-    bend = np.arccos(np.clip(np.einsum("ec,ec->e", normal[a], normal[b]), -1.0, 1.0))
+    ratio = length / np.maximum(size(0.5 * (x[a] + x[b])), np.maximum(room[a], room[b]))
+    bend = np.arccos(np.clip(np.einsum("ec,ec->e", *_normals_at_ends(q, normal, a, b, frame)), -1.0, 1.0))
     score = np.maximum(ratio / SPLIT, bend / TURN)
     # Ears at smooth boundary vertices: split the side across.
     edge = adjacent < 0
@@ -296,6 +312,31 @@ def _marked(
     return np.stack([t[order], k[order]], axis=1)
 
 
+def _longest_sides(x: Array, loops: list[Index]) -> Array:
+    """Length (n,) in space of the longer boundary side at each vertex."""
+    longest = np.zeros(len(x))
+    for ring in loops:
+        after = np.roll(ring, -1)
+        length = np.linalg.norm(x[after] - x[ring], axis=1)
+        np.maximum.at(longest, ring, length)
+        np.maximum.at(longest, after, length)
+    return longest
+
+
+def _normals_at_ends(
+    q: Array, normal: Array, a: Index, b: Index, frame: Callable[[Array], tuple[Array, Array]]
+) -> tuple[Array, Array]:
+    """Unit normals at the ends of edges, at a pole the one that the surface has along the edge."""
+    found = []
+    for here, there in ((a, b), (b, a)):
+        own = normal[here]
+        pole = np.flatnonzero(~own.any(axis=1))
+        if len(pole):
+            own[pole] = frame(q[here[pole]] + BESIDE * (q[there[pole]] - q[here[pole]]))[1]
+        found.append(own)
+    return found[0], found[1]
+
+
 def _grown(q: Array, triangles: Index, adjacent: Index, marked: Index) -> tuple[Array, Index, Index]:
     n, count = len(q), len(triangles)
     q = np.concatenate([q, np.zeros((len(marked), 2))])
@@ -306,8 +347,7 @@ def _grown(q: Array, triangles: Index, adjacent: Index, marked: Index) -> tuple[
 
 
 def _smoothed(
-    q: Array, x: Array, normal: Array, triangles: Index, adjacent: Index, smooth: NDArray[np.bool_], tiny: float,
-    fixed: int, frame: Callable[[Array], tuple[Array, Array]],
+    q: Array, x: Array, normal: Array, triangles: Index, adjacent: Index, smooth: NDArray[np.bool_], fixed: int, frame: Callable[[Array], tuple[Array, Array]],
 ) -> tuple[Array, Array]:  # fmt: skip
     """Move interior vertices towards the mean of the centroids around them, weighted by area in space."""
     if len(q) == fixed:
@@ -326,7 +366,7 @@ def _smoothed(
     order = np.argsort(triangles.ravel(), kind="stable")
     first = np.searchsorted(triangles.ravel()[order], np.arange(len(q) + 1))
     before = q.copy()
-    _move(q, x, proposed, x_new, triangles, adjacent, smooth, tiny, fixed, first, order // 3)
+    _move(q, x, proposed, x_new, triangles, adjacent, smooth, fixed, first, order // 3)
     taken = np.flatnonzero((q[fixed:] != before[fixed:]).any(axis=1))
     normal = normal.copy()
     normal[fixed + taken] = normal_new[taken]
