@@ -37,6 +37,7 @@ from geometry.hybrid.grid import agree, is_flat, kept_share, make_grid
 from geometry.hybrid.measures import measure
 from geometry.hybrid.meeting import edge_distances, met
 from geometry.hybrid.outline import FaceError
+from geometry.hybrid.pcurves import fitted_curves
 from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
 from geometry.hybrid.reporting import describe
 from geometry.hybrid.sealing import Sealed, seal, spline_blocks
@@ -129,7 +130,7 @@ def build_skin(
     where = where or brep.name or "solid"
     refuse_cusps(brep, where)
     off = edge_distances(brep)
-    brep = met(brep, off)
+    brep = fitted_curves(met(brep, off), tolerance)
     solid = splined(brep, tolerance) if splines else None
     brep = brep if solid is None else solid.brep
     sizing, wanted = size_edges(brep, size)
