@@ -41,7 +41,8 @@ _AROUND = {
 @dataclass(frozen=True, eq=False)
 class Finer:
     """Where elements must be smaller: places and sizes, and the largest cell of some faces' grids; faces that fold or
-    are cut, and the pieces of edges (k, 3), as in `Assembled.curves`, beside their elements that do.
+    are cut, and the pieces of edges (k, 3), as in `Assembled.curves`, beside their elements that do, or that
+    are too far and lie between two pieces.
     """
 
     sizing: Sizing
@@ -121,9 +122,8 @@ def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: floa
             here = np.arange(start[n], start[n + 1])
             for e in here[failing[here]].tolist():
                 cells[int(owner[e])] = min(cells.get(int(owner[e]), np.inf), float(wanted[e]))
-    return report, Finer(
-        Sizing(centre[some], wanted[some]), cells, set(owner[bad].tolist()), _pieces(made, bad)
-    )
+    pieces = _pieces(made, bad | (failing & _between_curves(made)))
+    return report, Finer(Sizing(centre[some], wanted[some]), cells, set(owner[bad].tolist()), pieces)
 
 
 def _pieces(made: Assembled, bad: NDArray[np.bool_]) -> Index:
@@ -136,6 +136,16 @@ def _pieces(made: Assembled, bad: NDArray[np.bool_]) -> Index:
     weight = np.array([made.vertices, 1])
     keys = np.sort(np.concatenate(sides), axis=1) @ weight
     return made.curves[np.isin(np.sort(made.curves[:, :2], axis=1) @ weight, keys)]
+
+
+def _between_curves(made: Assembled) -> NDArray[np.bool_]:
+    """Elements (e,) with two sides or more on edges, as at the tip of a face: only their pieces matter."""
+    weight = np.array([made.vertices, 1])
+    curves = np.sort(made.curves[:, :2], axis=1) @ weight
+    return np.concatenate([
+        np.isin(np.sort(np.stack([part.corners, np.roll(part.corners, -1, axis=1)], axis=2), axis=2) @ weight, curves)
+        .sum(axis=1) >= 2 for part in made.parts
+    ])
 
 
 def _halves(part: Part) -> list[tuple[int, int]]:

@@ -347,7 +347,8 @@ def _grown(q: Array, triangles: Index, adjacent: Index, marked: Index) -> tuple[
 
 
 def _smoothed(
-    q: Array, x: Array, normal: Array, triangles: Index, adjacent: Index, smooth: NDArray[np.bool_], fixed: int, frame: Callable[[Array], tuple[Array, Array]],
+    q: Array, x: Array, normal: Array, triangles: Index, adjacent: Index, smooth: NDArray[np.bool_], fixed: int,
+    frame: Callable[[Array], tuple[Array, Array]],
 ) -> tuple[Array, Array]:  # fmt: skip
     """Move interior vertices towards the mean of the centroids around them, weighted by area in space."""
     if len(q) == fixed:
