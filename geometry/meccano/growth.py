@@ -2,7 +2,8 @@ r"""From the map of the meccano's boundary to a certified solid, coarse to fine.
 
 On a coarse T-mesh the solid starts valid: as a smooth blob whose boundary is fitted with much fairness and whose inside
 is harmonic in the straight picture of the meccano, or, where that cannot be untangled, as that picture itself. Springs
-of growing stiffness draw the boundary to ever better fits of the map, as far as the solid stays valid.
+of growing stiffness draw the boundary to ever better fits of the map, as far as the solid stays valid, and as long as
+that brings it nearer: what is far off when sliding begins is apt to become a web or a sac.
 
 From then on boundary points slide along the surface while the shapes of all elements are smoothed, held by springs
 between samples of the boundary and the points of the surface closest to them, and between samples of the surface and
@@ -13,7 +14,8 @@ again around them. Fine tolerances are reached through coarser ones.
 
 Webs between limbs stay where elements below them are nearly folded: a descent that may fold elements on its way accepts
 that, and then what is around cannot move without a fold. So while something is far off no element may fold, and slides
-are patient on the first mesh and where they are repeated: more and shorter turns, elements below moving too.
+are patient on the first mesh and where they are repeated: more and shorter turns, elements below moving too, and sample
+points closer to each other, since an element that folds between them holds back all around it.
 
 A step that would leave an element without certificate is shortened around it, so what starts valid ends valid.
 
@@ -127,11 +129,7 @@ def solid_of(
         shown.say(", ".join(f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
                             for key, value in history[-1].items()))
 
-    solid = _first(start, target, shown)
-    aim = target(*side_coordinates(solid.skin, SAMPLES))
-    for fairness in _FAIRNESS:
-        solid = _drawn(solid, aim, fairness, aims, shown)
-    state = _measured(task, solid, aim)
+    state = _begun(task, start)
     note("drawing", state)
     for tolerance in nested(aims.tolerance, surface.diagonal):
         state, ended = _grown(replace(task, aims=replace(aims, tolerance=tolerance)), state, start, note)
@@ -141,6 +139,22 @@ def solid_of(
     note("fitting", state)
     history[-1]["ended"] = ended if state.excess(aims) else "within the tolerance"
     return state.solid, history
+
+
+def _begun(task: _Task, start: Hierarchy) -> _State:
+    """The first solid, drawn towards the map as far as that comes before long."""
+    solid = _first(start, task.target, task.shown)
+    aim = task.target(*side_coordinates(solid.skin, SAMPLES))
+    for fairness in _FAIRNESS:
+        solid = _drawn(solid, aim, fairness, task)
+    state = _measured(task, solid, aim)
+    # Polycubes of many blocks start far from their solids: what is still off then would become webs and sacs.
+    for _ in range(_DRAWS):
+        tried = _measured(task, _drawn(state.solid, aim, _FAIRNESS[-1], task), aim)
+        if tried.excess(task.aims) >= _COMING * state.excess(task.aims):
+            break
+        state = tried
+    return state
 
 
 def nested(tolerance: float, diagonal: float) -> list[float]:
@@ -233,8 +247,8 @@ def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None,
             free = acting(solid, moved(solid, free))
     springs = springs_to(task.surface, solid.skin, tolerance, softness, state.aim, free, softness > _LEADING)
     found = smooth(
-        solid.domain, free, rounds=turns, iterations=steps, power=_POWER, tether=springs, repairs=1, folds=not far,
-        shown=task.shown,
+        solid.domain, free, rounds=turns, iterations=steps, samples=_SAMPLES[far], power=_POWER, tether=springs,
+        repairs=1, folds=not far, shown=task.shown,
     )
     return _measured(task, replace(solid, points=found.points, invalid=found.invalid), state.aim)
 
@@ -242,6 +256,9 @@ def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None,
 # First solid: rounds of untangling, fairness of the fits that the boundary is drawn to, stiffness of the springs there.
 _TRIES = 8
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
+# More fits with the last fairness, at most, while each leaves only this share of what is off.
+_DRAWS = 16
+_COMING = 0.93
 _STIFF = (1.0, 10.0, 100.0)
 # Tolerance, in diagonals, from which finer ones are halved.
 _COARSE = 0.004
@@ -255,9 +272,11 @@ _LEADING = 2.0
 # many tolerances.
 _PROGRESS = 0.8
 _LIMB = 3.0
-# Of a slide: rounds and steps of descent, also where it is patient; power of the mean ratio.
+# Of a slide: rounds and steps of descent, also where it is patient; sample points along the edge of an element, also
+# where something is far off, since what folds between samples is held back; power of the mean ratio.
 _QUICK = (2, 30)
 _PATIENT = (6, 40)
+_SAMPLES = (3, 4)
 _POWER = 4.0
 # Refinement: facets off by this share of the worst at least, most cells for each cell.
 _SHARE = 0.2
@@ -287,7 +306,7 @@ def _untangled(solid: Solid, boundary: bool, shown: Progress) -> Solid:
     return replace(solid, points=found.points, invalid=found.invalid)
 
 
-def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progress) -> Solid:
+def _drawn(solid: Solid, aim: Array, fairness: float, task: _Task) -> Solid:
     """Draw the boundary towards its fit to ``aim`` with ever stiffer springs, as far as the solid stays valid."""
     skin = solid.skin
     wanted = fit_boundary(skin, solid.points, SAMPLES, aim, fairness=fairness)[skin.functions]
@@ -296,7 +315,7 @@ def _drawn(solid: Solid, aim: Array, fairness: float, aims: Aims, shown: Progres
     size = sizes_of(solid)[skin.functions]
     springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in _STIFF]
     free = np.ones(n, dtype=bool)
-    found = smooth(solid.domain, free, iterations=30, tether=springs, shown=shown)
+    found = smooth(solid.domain, free, iterations=30, tether=springs, shown=task.shown)
     goal = found.points.copy()
     goal[skin.functions] = wanted
     made = approach(replace(solid.domain, points=found.points), goal)
