@@ -31,6 +31,7 @@ Index = NDArray[np.int64]
 
 PER_SIDE = 200  # triangles at least for each side of the polycube, so that there is room for its edges
 SLENDER = 0.1  # share inside from which on a voxel belongs to a polycube that follows thin limbs
+THREAD = 0.03  # the same for limbs much thinner than the voxels that are asked for
 REACH = 0.6  # voxels' sides that the surface may be away from such a polycube
 BEYOND = 1.0  # voxels along the longest axis by which finer ones are compared
 
@@ -87,14 +88,23 @@ def _cheaper(plain: Layout, creased: Layout) -> Layout:
         return plain
 
 
-def slender_map(surface: Surface, limit: float = 10000.0, progress: Progress = QUIET) -> tuple[
-    BoundaryMap, dict[str, Any]
-]:
+def slender_map(
+    surface: Surface, limit: float = 10000.0, progress: Progress = QUIET, resolution: float | None = None
+) -> tuple[BoundaryMap, dict[str, Any]]:
     """The map of a polycube that also follows limbs and wings thinner than its voxels.
 
     Corners are moved less often than in other polycubes: patches at the ends of limbs would swallow the limbs.
+
+    Parameters
+    ----------
+    resolution : voxels along the solid's longest axis; None for the fewest that will do. Few voxels with a tenth inside
+        may fill the room between legs, and then limbs are lost in the sides of one thick body; more of them, with less
+        inside, tell legs apart.
     """
-    voxels, report = voxelise(surface, progress=progress, fullness=SLENDER, reach=REACH, beyond=BEYOND)
+    if resolution is None:
+        voxels, report = voxelise(surface, progress=progress, fullness=SLENDER, reach=REACH, beyond=BEYOND)
+    else:
+        voxels, report = voxelise(surface, resolution, progress=progress, fullness=THREAD)
     mapping, quality = polycube_map(surface, voxels, sweeps=2, limit=limit, progress=progress)
     return mapping, report | quality
 

@@ -31,7 +31,9 @@ values, and the solid is grown into that map (`growth`). Refinement is exact.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, cast
@@ -70,6 +72,9 @@ MANY_BLOCKS = (500, 16)
 
 DEAR = 0.3
 """Price of a map onto the cube from which on a polycube is tried."""
+
+FINER = (8.0, 10.0, 12.0)
+"""Voxels along the longest axis of polycubes that are tried where all other maps are dear."""
 
 
 def reads(path: str | Path) -> bool:
@@ -196,15 +201,17 @@ def map_of(surface: Surface, settings: Settings, shown: Progress) -> tuple[Bound
 def _cheaper(surface: Surface, settings: Settings, shown: Progress) -> tuple[BoundaryMap, dict[str, Any]]:
     """The map of a surface of genus 0 onto a cube, or, where that is dear (`partition.price`), onto a polycube.
 
-    A polycube that follows thin limbs is tried first, because limbs are what makes the cube dear.
+    A polycube that follows thin limbs is tried first, because limbs are what makes the cube dear; finer ones last.
     """
     found: list[tuple[BoundaryMap, dict[str, Any]]] = []
     reasons: list[str] = []
-    for make in (
+    ways: list[Callable[[], tuple[BoundaryMap, dict[str, Any]]]] = [
         lambda: boundary_map(partition(surface, progress=shown), settings.stretch, shown),
         lambda: slender_map(surface, settings.stretch, shown),
         lambda: polycube_map(surface, limit=settings.stretch, progress=shown),
-    ):
+        *(partial(slender_map, surface, settings.stretch, shown, number) for number in FINER),
+    ]
+    for make in ways:
         try:
             found.append(make())
         except InputError as error:
