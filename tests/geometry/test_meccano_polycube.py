@@ -196,11 +196,14 @@ def test_thin_limbs_are_left_out_or_followed(surface: Surface) -> None:
 @pytest.mark.long
 def test_a_polycube_that_follows_limbs_has_the_better_map() -> None:
     surface = body(LEGS, [0, 0.5, 3.5, 4], [0, 0.5, 1.5, 2], [0, 2.5, 4])
-    mapping, report = slender_map(surface, 10.0)
-    plain, other = polycube_map(surface, limit=10.0)
+    mapping, _ = slender_map(surface, 10.0)
+    plain, _ = polycube_map(surface, limit=10.0)
     assert len(flipped(mapping.parameters)) == 0
     assert price(mapping) < price(plain)
-    assert report["area_stretch"][1] < other["area_stretch"][1]
+    finer, report = slender_map(surface, 10.0, resolution=8.0)
+    assert report["resolution"] == 8.0
+    assert len(flipped(finer.parameters)) == 0
+    assert price(finer) < price(plain)
 
 
 def test_borders_of_a_polycube_follow_creases() -> None:
@@ -261,11 +264,11 @@ def test_corners_may_be_given_as_a_text() -> None:
 
 def test_a_dear_cube_is_compared_with_a_polycube(monkeypatch):
     """The maps are stubs with known prices: only the choice is tested."""
-    prices = {"cube": 0.5, "polycube": 0.2}
+    prices = {"cube": 0.5, "polycube": 0.2, "finer": 0.55}
     monkeypatch.setattr(source, "partition", lambda *a, **k: None)
     monkeypatch.setattr(source, "boundary_map", lambda *a, **k: (_stub("cube"), {}))
     monkeypatch.setattr(source, "polycube_map", lambda *a, **k: (_stub("polycube"), {}))
-    monkeypatch.setattr(source, "slender_map", lambda *a, **k: (_stub("slender"), {}))
+    monkeypatch.setattr(source, "slender_map", lambda *a, **k: (_stub("finer" if len(a) > 3 else "slender"), {}))
     monkeypatch.setattr(source, "price", lambda mapping: prices[mapping.kind])
     surface = ball(4)
     prices["slender"] = 0.1
@@ -274,6 +277,9 @@ def test_a_dear_cube_is_compared_with_a_polycube(monkeypatch):
     assert map_of(surface, parse({}), QUIET)[1] == {"meccano": "polycube", "price": 0.2}
     prices["polycube"] = 0.6
     assert map_of(surface, parse({}), QUIET)[1] == {"meccano": "cube", "price": 0.5}
+    prices["finer"] = 0.4
+    assert map_of(surface, parse({}), QUIET)[1] == {"meccano": "polycube", "price": 0.4}
+    prices["finer"] = 0.8
     prices |= {"cube": 0.9 * source.DEAR, "polycube": 0.0}
     assert map_of(surface, parse({}), QUIET)[1]["meccano"] == "cube"
 
