@@ -29,26 +29,27 @@ from scipy.sparse import csr_array
 
 from geometry.cad.brep import Brep
 from geometry.hybrid.assembling import assemble
-from geometry.hybrid.chart import make_chart
+from geometry.hybrid.chart import Chart, make_chart
 from geometry.hybrid.compatible import compatible_cuts, halved, line_cuts, with_cuts, with_missing
 from geometry.hybrid.cusps import refuse_cusps
-from geometry.hybrid.facemesh import mesh_faces
-from geometry.hybrid.grid import agree, is_flat, kept_share, make_grid
-from geometry.hybrid.measures import measure
+from geometry.hybrid.facemesh import FaceMesh, mesh_faces
+from geometry.hybrid.grid import Grid, agree, is_flat, kept_share, make_grid
+from geometry.hybrid.measures import Finer, measure
 from geometry.hybrid.meeting import edge_distances, met
 from geometry.hybrid.outline import FaceError
 from geometry.hybrid.pcurves import fitted_curves
-from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
+from geometry.hybrid.pieces import Pieces, cut_edges, divide_edges, least_pieces
 from geometry.hybrid.reporting import describe
 from geometry.hybrid.sealing import Sealed, seal, spline_blocks
 from geometry.hybrid.sizing import Sizing, size_edges
-from geometry.hybrid.splining import splined
+from geometry.hybrid.splining import Splined, splined
 from iga.domain import Space
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 ROUNDS = 12
 MOST = 40_000
@@ -133,64 +134,20 @@ def build_skin(
     brep = fitted_curves(met(brep, off), tolerance)
     solid = splined(brep, tolerance) if splines else None
     brep = brep if solid is None else solid.brep
-    sizing, wanted = size_edges(brep, size)
-    charts = [make_chart(face) for face in brep.faces]
-    flat = np.array([is_flat(face.surface) for face in brep.faces])
-    if solid is not None:
-        flat[:] = False  # their B-splines are revised too
-    cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), size * brep.diagonal) if quads or splines else {}
-    cuts = {} if solid is None else compatible_cuts(brep)
-    banded = set() if solid is None else set(cells)
-    without: dict[int, str] = {}
-    unbanded: dict[int, str] = {}
-    least = least_pieces(brep)
+    task, plan = _begun(brep, solid, size, tolerance, quads or splines)
     best: tuple[float, Skin, Sealed | None] | None = None
+    failed: FaceError | None = None
     stuck = 0
-    faulty: set[int] = set()
-    if cells:
-        cells = _fitting_cells(brep, divide_edges(brep, sizing, wanted, least, tolerance), sizing, cells)
     for _ in progress.track(range(ROUNDS), "skin"):
-        ends = divide_edges(brep, sizing, wanted, least, tolerance)
-        lines, ends = agree(brep, with_cuts(ends, cuts), sizing, cells, cuts)
-        ends = with_missing(ends, cuts) if solid is None else line_cuts(brep, with_missing(ends, cuts), cuts, lines)
-        grids = {f: make_grid(brep, f, own, sizing) for f, own in lines.items()}
-        edges, count = cut_edges(brep, ends)
+        edges, count, grids = _laid_out(task, plan)
         try:
-            meshes = mesh_faces(brep, charts, edges, count, sizing, grids, where, banded)
+            meshes = mesh_faces(brep, task.charts, edges, count, plan.sizing, grids, where, plan.banded)
         except FaceError as error:
-            if error.face in banded:
-                banded.discard(error.face)  # general triangles along its curves before anything else
-                unbanded[error.face] = str(error)
-            elif error.face in cells:
-                del cells[error.face]  # triangles alone before anything else
-                without[error.face] = str(error)
-            else:
-                for loop in brep.faces[error.face].loops:
-                    for c in loop:
-                        if not brep.edges[c.edge].degenerate:
-                            least[c.edge] = 2 * (len(edges[c.edge].ends) - 1)
-            if max(least) > 3000:
-                raise InputError(str(error)) from error
-            failed: InputError | None = error
+            _give_way(brep, plan, edges, error)
+            failed = error
             continue
-        failed = None
-        made = assemble(brep, edges, meshes, flat)
-        sealed = None if solid is None else seal(solid, meshes, made)
-        made = made if sealed is None else sealed.made
-        report, finer = measure(brep, made, meshes, tolerance)
-        none = {f: "no cell fits between its curves" for f in cells if not len(meshes[f].quads)}
-        if solid is not None:
-            report["cad_faces_without_band"] = {brep.faces[f].name: why for f, why in sorted(unbanded.items())}
-        report["cad_faces_without_quadrilaterals"] = {
-            brep.faces[f].name: why for f, why in sorted({**none, **without}.items())
-        }
-        space, points, owners = made.space, made.points, tuple(part.owner for part in made.parts)
-        if solid is not None and sealed is not None:
-            space, owners = spline_blocks(sealed)
-            points = sealed.points
-        names = tuple(face.name for face in brep.faces)
-        adjust = None if sealed is None else sealed.adjust
-        skin = Skin(space, points, made.vertices, owners, names, made.curves, True, report, adjust)
+        skin, sealed, finer = _built(task, plan, edges, meshes)
+        report = skin.report
         badness = float(report["crossings"] + report["folded"]) * 1e6 + report["max_distance"]
         stuck = 0 if best is None or badness < 0.7 * best[0] else stuck + 1
         # The same vertex is the worst, however small its elements: that is the file's gap.
@@ -200,21 +157,10 @@ def build_skin(
         many = report["elements"] > MOST and not report["crossings"] + report["folded"]
         if len(finer.sizing.points) == 0 or same or stuck == PATIENCE or many:
             break
-        if stuck or best[0] < badness:  # what folds or is cut although elements were made smaller goes without
-            dropped = finer.faulty & banded  # the band before the quadrilaterals
-            if dropped:
-                banded -= dropped
-                unbanded.update(dict.fromkeys(dropped, "its elements fold or are cut"))
-            else:
-                dropped = finer.faulty & faulty & set(cells)  # not those that fold for the first time
-                without.update(dict.fromkeys(dropped, "its quadrilaterals fold or are cut"))
-            stuck = 0 if dropped else stuck
-        cells = {f: min(most, finer.cells.get(f, most)) for f, most in cells.items() if f not in without}
-        faulty = finer.faulty
-        cuts = halved(brep, cuts, finer.pieces, edges, set(cells))
-        sizing = Sizing(
-            np.concatenate([sizing.points, finer.sizing.points]), np.concatenate([sizing.size, finer.sizing.size])
-        )
+        # What folds or is cut although elements were made smaller goes without.
+        if (stuck or best[0] < badness) and _drop(plan, finer):
+            stuck = 0
+        _make_smaller(brep, plan, finer, edges)
     if best is None:
         raise InputError(str(failed))
     _, skin, sealed = best
@@ -224,6 +170,145 @@ def build_skin(
     if solid is not None and sealed is not None:
         skin = replace(skin, report={**skin.report, "hb_rep": describe(sealed, solid)})
     return skin
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What all rounds need.
+
+    Attributes
+    ----------
+    brep : the solid, its edges on its faces.
+    solid : its B-splines, for an HB-rep.
+    charts, flat : of each face.
+    wanted : sizes along each edge, from curvature.
+    """
+
+    brep: Brep
+    solid: Splined | None
+    charts: list[Chart]
+    flat: Mask
+    wanted: list[Array]
+    tolerance: float
+
+
+@dataclass(eq=False)
+class _Plan:
+    """How the next skin is built; each round changes it.
+
+    Attributes
+    ----------
+    sizing : wanted sizes of elements.
+    cells : largest cell of each face that has quadrilaterals, and ``without``, why others have none.
+    banded : faces whose triangles along curves are a band's, and ``unbanded``, why others have none.
+    cuts : parameters at which edges are cut in any case.
+    least : fewest pieces of each edge.
+    faulty : faces that folded or were cut in the last round.
+    """
+
+    sizing: Sizing
+    cells: dict[int, float]
+    banded: set[int]
+    cuts: dict[int, Array]
+    least: list[int]
+    without: dict[int, str] = field(default_factory=dict)
+    unbanded: dict[int, str] = field(default_factory=dict)
+    faulty: set[int] = field(default_factory=set)
+
+
+def _begun(brep: Brep, solid: Splined | None, size: float, tolerance: float, quads: bool) -> tuple[_Task, _Plan]:
+    """The first plan: elements as the curvature wants them."""
+    sizing, wanted = size_edges(brep, size)
+    # The B-splines of all faces are revised, of plane ones too.
+    flat = np.array([is_flat(face.surface) and solid is None for face in brep.faces])
+    task = _Task(brep, solid, [make_chart(face) for face in brep.faces], flat, wanted, tolerance)
+    cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), size * brep.diagonal) if quads else {}
+    cuts = {} if solid is None else compatible_cuts(brep)
+    plan = _Plan(sizing, cells, set() if solid is None else set(cells), cuts, least_pieces(brep))
+    if cells:
+        plan.cells = _fitting_cells(brep, divide_edges(brep, sizing, wanted, plan.least, tolerance), sizing, cells)
+    return task, plan
+
+
+def _laid_out(task: _Task, plan: _Plan) -> tuple[list[Pieces], int, dict[int, Grid]]:
+    """Pieces of edges, the number of their vertices, and grids of the faces that have quadrilaterals."""
+    brep, cuts = task.brep, plan.cuts
+    ends = divide_edges(brep, plan.sizing, task.wanted, plan.least, task.tolerance)
+    lines, ends = agree(brep, with_cuts(ends, cuts), plan.sizing, plan.cells, cuts)
+    ends = with_missing(ends, cuts)
+    if task.solid is not None:
+        ends = line_cuts(brep, ends, cuts, lines)
+    grids = {f: make_grid(brep, f, own, plan.sizing) for f, own in lines.items()}
+    edges, count = cut_edges(brep, ends)
+    return edges, count, grids
+
+
+def _give_way(brep: Brep, plan: _Plan, edges: list[Pieces], error: FaceError) -> None:
+    """What a face that cannot be meshed gives up: its band, then its quadrilaterals; then its edges get more pieces.
+
+    Raises
+    ------
+    InputError : there are too many of these.
+    """
+    if error.face in plan.banded:
+        plan.banded.discard(error.face)
+        plan.unbanded[error.face] = str(error)
+    elif error.face in plan.cells:
+        del plan.cells[error.face]
+        plan.without[error.face] = str(error)
+    else:
+        for loop in brep.faces[error.face].loops:
+            for c in loop:
+                if not brep.edges[c.edge].degenerate:
+                    plan.least[c.edge] = 2 * (len(edges[c.edge].ends) - 1)
+    if max(plan.least) > 3000:
+        raise InputError(str(error)) from error
+
+
+def _built(
+    task: _Task, plan: _Plan, edges: list[Pieces], meshes: list[FaceMesh]
+) -> tuple[Skin, Sealed | None, Finer]:
+    """The skin of the faces' meshes, and where elements must be smaller."""
+    brep, solid = task.brep, task.solid
+    made = assemble(brep, edges, meshes, task.flat)
+    sealed = None if solid is None else seal(solid, meshes, made)
+    made = made if sealed is None else sealed.made
+    report, finer = measure(brep, made, meshes, task.tolerance)
+    none = {f: "no cell fits between its curves" for f in plan.cells if not len(meshes[f].quads)}
+    if solid is not None:
+        report["cad_faces_without_band"] = {brep.faces[f].name: why for f, why in sorted(plan.unbanded.items())}
+    report["cad_faces_without_quadrilaterals"] = {
+        brep.faces[f].name: why for f, why in sorted({**none, **plan.without}.items())
+    }
+    space, points, owners, adjust = made.space, made.points, tuple(part.owner for part in made.parts), None
+    if sealed is not None:
+        space, owners = spline_blocks(sealed)
+        points, adjust = sealed.points, sealed.adjust
+    names = tuple(face.name for face in brep.faces)
+    return Skin(space, points, made.vertices, owners, names, made.curves, True, report, adjust), sealed, finer
+
+
+def _drop(plan: _Plan, finer: Finer) -> bool:
+    """Take bands, then quadrilaterals, from faces that fold or are cut; whether there were any."""
+    dropped = finer.faulty & plan.banded
+    if dropped:
+        plan.banded -= dropped
+        plan.unbanded.update(dict.fromkeys(dropped, "its elements fold or are cut"))
+        return True
+    dropped = finer.faulty & plan.faulty & set(plan.cells)  # not those that fold for the first time
+    plan.without.update(dict.fromkeys(dropped, "its quadrilaterals fold or are cut"))
+    return bool(dropped)
+
+
+def _make_smaller(brep: Brep, plan: _Plan, finer: Finer, edges: list[Pieces]) -> None:
+    """Smaller elements and cells, and more cuts of edges, where these must be."""
+    plan.cells = {f: min(most, finer.cells.get(f, most)) for f, most in plan.cells.items() if f not in plan.without}
+    plan.faulty = finer.faulty
+    plan.cuts = halved(brep, plan.cuts, finer.pieces, edges, set(plan.cells))
+    plan.sizing = Sizing(
+        np.concatenate([plan.sizing.points, finer.sizing.points]),
+        np.concatenate([plan.sizing.size, finer.sizing.size]),
+    )
 
 
 def _fitting_cells(
