@@ -256,10 +256,10 @@ def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None,
 # First solid: rounds of untangling, fairness of the fits that the boundary is drawn to, stiffness of the springs there.
 _TRIES = 8
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
+_STIFF = (1.0, 10.0, 100.0)
 # More fits with the last fairness, at most, while each leaves only this share of what is off.
 _DRAWS = 16
 _COMING = 0.93
-_STIFF = (1.0, 10.0, 100.0)
 # Tolerance, in diagonals, from which finer ones are halved.
 _COARSE = 0.004
 # Softness of springs on the first mesh and on finer ones, before it is 1, on the last one, and down to which the map

@@ -207,8 +207,8 @@ def _cheaper(surface: Surface, settings: Settings, shown: Progress) -> tuple[Bou
     reasons: list[str] = []
     ways: list[Callable[[], tuple[BoundaryMap, dict[str, Any]]]] = [
         lambda: boundary_map(partition(surface, progress=shown), settings.stretch, shown),
-        lambda: slender_map(surface, settings.stretch, shown),
-        lambda: polycube_map(surface, limit=settings.stretch, progress=shown),
+        partial(slender_map, surface, settings.stretch, shown),
+        partial(polycube_map, surface, limit=settings.stretch, progress=shown),
         *(partial(slender_map, surface, settings.stretch, shown, number) for number in FINER),
     ]
     for make in ways:
