@@ -126,26 +126,25 @@ def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: floa
     return report, Finer(Sizing(centre[some], wanted[some]), cells, set(owner[bad].tolist()), pieces)
 
 
-def _pieces(made: Assembled, bad: NDArray[np.bool_]) -> Index:
-    """Pieces of edges (k, 3) that are sides of some elements."""
-    sides, first = [], 0
-    for part in made.parts:
-        own = part.corners[bad[first : first + len(part.corners)]]
-        first += len(part.corners)
-        sides.append(np.stack([own, np.roll(own, -1, axis=1)], axis=2).reshape(-1, 2))
+def _sides(made: Assembled) -> tuple[Index, list[Index]]:
+    """A number for each piece of an edge (s,) and for each side of the elements of each part (e, m)."""
     weight = np.array([made.vertices, 1])
-    keys = np.sort(np.concatenate(sides), axis=1) @ weight
-    return made.curves[np.isin(np.sort(made.curves[:, :2], axis=1) @ weight, keys)]
+    sides = [np.stack([part.corners, np.roll(part.corners, -1, axis=1)], axis=2) for part in made.parts]
+    return np.sort(made.curves[:, :2], axis=1) @ weight, [np.sort(pair, axis=2) @ weight for pair in sides]
+
+
+def _pieces(made: Assembled, some: NDArray[np.bool_]) -> Index:
+    """Pieces of edges (k, 3) that are sides of some elements."""
+    curves, sides = _sides(made)
+    first = np.cumsum([len(own) for own in sides])[:-1]
+    keys = [own[mine].ravel() for own, mine in zip(sides, np.split(some, first))]
+    return made.curves[np.isin(curves, np.concatenate(keys))]
 
 
 def _between_curves(made: Assembled) -> NDArray[np.bool_]:
     """Elements (e,) with two sides or more on edges, as at the tip of a face: only their pieces matter."""
-    weight = np.array([made.vertices, 1])
-    curves = np.sort(made.curves[:, :2], axis=1) @ weight
-    return np.concatenate([
-        np.isin(np.sort(np.stack([part.corners, np.roll(part.corners, -1, axis=1)], axis=2), axis=2) @ weight, curves)
-        .sum(axis=1) >= 2 for part in made.parts
-    ])
+    curves, sides = _sides(made)
+    return np.concatenate([np.isin(own, curves).sum(axis=1) >= 2 for own in sides])
 
 
 def _halves(part: Part) -> list[tuple[int, int]]:
