@@ -47,7 +47,16 @@ from geometry.hybrid.fitting import BICUBIC, CUBIC, fit_triangles, measure_quads
 from geometry.hybrid.grid import ALONG
 from geometry.hybrid.hbrep import tensor_rows
 from geometry.hybrid.splining import Splined, on_lines
-from geometry.hybrid.strip import OTHERS, inner_rows, phi_of, side_rows, vertex_rows
+from geometry.hybrid.strip import (
+    DOMAIN_POINTS,
+    OTHERS,
+    crossing,
+    inner_rows,
+    meeting_rows,
+    phi_of,
+    side_rows,
+    vertex_rows,
+)
 from geometry.patch import Patch
 from iga.block import Block
 from iga.domain import Space
@@ -280,14 +289,21 @@ def _face_rows(
             w = widths(mesh.chart, mesh.points)[corners]
             regular = w.max(axis=1) <= NARROWS * w.min(axis=1)
             corners, dofs = corners[regular], dofs[regular]
-            uv, steps, inwards = _steps(surface, mesh, corners, made.points[dofs], part.corners[mine][regular], made)
+            uv, steps, inwards, spots = _steps(
+                surface, mesh, corners, made.points[dofs], part.corners[mine][regular], made
+            )
             middle = uv.mean(axis=1)
+            across = np.flatnonzero(crossing(knots, uv))
+            whole, all_dofs = meeting_rows(knots, spots[across])
             for i in range(3):
                 own, functions = vertex_rows(knots, uv[:, i], middle)
                 add(dofs[:, _CORNER[i]], functions, own)
                 for k, j in enumerate(OTHERS[i].tolist()):
+                    side = crossing(knots, uv[:, [i, j]])
+                    add(dofs[across[side[across]], _NEAR[i, k]], all_dofs[side[across]], whole[side[across], _NEAR[i, k]])
                     own, functions = side_rows(knots, uv[:, i], uv[:, j], steps[:, i, k])
-                    add(dofs[:, _NEAR[i, k]], functions, own)
+                    add(dofs[~side, _NEAR[i, k]], functions[~side], own[~side])
+            add(dofs[across, _INNER], all_dofs, whole[:, _INNER])
             own, functions = inner_rows(knots, uv, steps, inwards)
             add(dofs[:, _INNER], functions, own)
     return tuple(tuple(map(np.concatenate, zip(*kind))) for kind in (found, masked))  # type: ignore[return-value]
@@ -306,8 +322,9 @@ def _snapped(knots: tuple[Array, ...], uv: Array) -> Array:
 
 def _steps(
     surface: Patch, mesh: FaceMesh, corners: Index, control: Array, vertices: Index, made: Assembled
-) -> tuple[Array, Array, Array]:
-    """Corners (t, 3, 2) of triangles in the parameter plane, (t, 3, 2, 2) and (t, 3, 2) as `inner_rows` wants them.
+) -> tuple[Array, Array, Array, Array]:
+    """Corners (t, 3, 2) of triangles in the parameter plane, (t, 3, 2, 2) and (t, 3, 2) as `inner_rows` wants them, and
+    (t, 10, 2) as `meeting_rows` does.
 
     Sides are straight in the chart, or along parameter lines at quadrilaterals; on trimming curves steps are those
     whose images are the steps of the curve in space.
@@ -339,7 +356,10 @@ def _steps(
     for i in range(3):
         inwards[:, i] = parameter_steps(mesh.chart, q[:, i], inner - q[:, i])
         inwards[:, i] += 1.5 * parameter_bends(mesh.chart, q[:, i], ways[:, i, 0], ways[:, i, 1])
-    return uv, steps, inwards
+    phi = np.zeros((len(q), 10, 2))
+    phi[:, _CORNER], phi[:, _NEAR], phi[:, _INNER] = q, q[:, :, None] + ways, inner
+    spots = CUBIC.tabulate(DOMAIN_POINTS, 0)[0] @ phi
+    return uv, steps, inwards, to_parameters(mesh.chart, spots.reshape(-1, 2)).reshape(spots.shape)
 
 
 def _measured(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> tuple[Part, ...]:

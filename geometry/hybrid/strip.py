@@ -15,6 +15,10 @@ direction, it holds for every triangle. On a parameter line without knots the ps
 the surface, so triangles join the rectangles beside them. phi_111 is that of quadratic precision, which at a trimming
 curve is the blend of NOTES 3.1. The rules are affine: rows sum to one.
 
+A side or a triangle that knot lines cross spans more than the corners' jets tell of, and at a narrow interval, where
+the surface curls, these grow beyond all bounds. There psi is the cubic that meets F at the images of its ten domain
+points (four on a side), whose rows are bounded, whatever the knots.
+
 Here derivatives are taken with respect to the parameters: with those D, D2 of the parameters over the chart,
 F' d = S' (D d) and F''[d, e] = S''[D d, D e] + S' D2[d, e].
 
@@ -29,14 +33,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.knots import blossom, find_spans
+from iga.bernstein import bernstein, greville, lagrange_to_bernstein
+from iga.cells import TRIANGLE
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 DEGREE = 3
 OTHERS = np.array([(1, 2), (2, 0), (0, 1)])
 """The corners j, k that follow corner i."""
 _TOWARDS = 1e-6
+_ON = 1e-9
+"""Share of a step within which a knot counts as at its end."""
+_CUBIC = bernstein(TRIANGLE, DEGREE)
+DOMAIN_POINTS = greville(_CUBIC)
+_MEETING = lagrange_to_bernstein(_CUBIC, DOMAIN_POINTS)
+_MEETING[np.abs(_MEETING) < 1e-12] = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,3 +129,23 @@ def inner_rows(knots: tuple[Array, ...], uv: Array, steps: Array, inwards: Array
         rows.append(row / 3.0)
         dofs.append(found.dofs)
     return np.concatenate(rows, axis=1), np.concatenate(dofs, axis=1)
+
+
+def crossing(knots: tuple[Array, ...], uv: Array) -> Mask:
+    """Whether the boxes of points (t, k, 2) hold knot lines between their ends."""
+    low, high = uv.min(axis=1), uv.max(axis=1)
+    found = np.zeros(len(uv), dtype=bool)
+    for d in range(2):
+        room = _ON * (high[:, d] - low[:, d]) + 1e-14 * float(np.ptp(knots[d]))
+        first = np.searchsorted(knots[d], low[:, d] + room)
+        found |= first < np.searchsorted(knots[d], high[:, d] - room)
+    return found
+
+
+def meeting_rows(knots: tuple[Array, ...], uv: Array) -> tuple[Array, Index]:
+    """Rows (t, 10, k) of the cubics that meet S at the images (t, 10, 2) of their domain points, and their B-splines
+    (t, k); rows of functions on a side need no other points than those on the side.
+    """
+    found = jets(knots, uv.reshape(-1, 2), uv.reshape(-1, 2))
+    rows = np.einsum("bp,tpn->tbpn", _MEETING, found.value.reshape(len(uv), -1, 16))
+    return rows.reshape(*uv.shape[:2], -1), found.dofs.reshape(len(uv), -1)
