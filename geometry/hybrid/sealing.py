@@ -294,16 +294,17 @@ def _face_rows(
             )
             middle = uv.mean(axis=1)
             across = np.flatnonzero(crossing(knots, uv))
-            whole, all_dofs = meeting_rows(knots, spots[across])
+            whole, everywhere = meeting_rows(knots, spots[across])
             for i in range(3):
                 own, functions = vertex_rows(knots, uv[:, i], middle)
                 add(dofs[:, _CORNER[i]], functions, own)
                 for k, j in enumerate(OTHERS[i].tolist()):
-                    side = crossing(knots, uv[:, [i, j]])
-                    add(dofs[across[side[across]], _NEAR[i, k]], all_dofs[side[across]], whole[side[across], _NEAR[i, k]])
+                    cut = crossing(knots, uv[:, [i, j]])
+                    mine = cut[across]
+                    add(dofs[across[mine], _NEAR[i, k]], everywhere[mine], whole[mine, _NEAR[i, k]])
                     own, functions = side_rows(knots, uv[:, i], uv[:, j], steps[:, i, k])
-                    add(dofs[~side, _NEAR[i, k]], functions[~side], own[~side])
-            add(dofs[across, _INNER], all_dofs, whole[:, _INNER])
+                    add(dofs[~cut, _NEAR[i, k]], functions[~cut], own[~cut])
+            add(dofs[across, _INNER], everywhere, whole[:, _INNER])
             own, functions = inner_rows(knots, uv, steps, inwards)
             add(dofs[:, _INNER], functions, own)
     return tuple(tuple(map(np.concatenate, zip(*kind))) for kind in (found, masked))  # type: ignore[return-value]

@@ -147,5 +147,6 @@ def meeting_rows(knots: tuple[Array, ...], uv: Array) -> tuple[Array, Index]:
     (t, k); rows of functions on a side need no other points than those on the side.
     """
     found = jets(knots, uv.reshape(-1, 2), uv.reshape(-1, 2))
-    rows = np.einsum("bp,tpn->tbpn", _MEETING, found.value.reshape(len(uv), -1, 16))
-    return rows.reshape(*uv.shape[:2], -1), found.dofs.reshape(len(uv), -1)
+    rows = np.einsum("bp,tpn->tbpn", _MEETING, found.value.reshape(*uv.shape[:2], 16))
+    k = 16 * uv.shape[1]
+    return rows.reshape(len(uv), len(_MEETING), k), found.dofs.reshape(len(uv), k)

@@ -124,3 +124,14 @@ def test_quadrilaterals_need_no_plain_triangles_instead(name: str, kind: str) ->
     assert report["crossings"] == report["folded"] == 0
     assert report["quadrilaterals"] > 500
     assert report["max_distance"] <= 2e-5
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
+def test_a_leading_edge_keeps_its_splines() -> None:
+    """The wing's faces curl within a thousandth of their length, where triangles are wider than knot intervals."""
+    report = build_skin(read_cad(DATA / "wing_fuselage.step", 0), splines=True).report
+    assert report["crossings"] == report["folded"] == 0
+    assert not report["cad_faces_without_band"]
+    assert report["max_distance"] <= 2e-5
+    assert report["hb_rep"]["unity_error"] < 1e-12

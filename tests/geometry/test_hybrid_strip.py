@@ -12,25 +12,38 @@ from geometry.cad.brep import surface_points
 from geometry.hybrid import shapes
 from geometry.hybrid.chart import chart_steps, make_chart, parameter_bends, parameter_steps, to_chart, to_parameters
 from geometry.hybrid.fitting import CUBIC
-from geometry.hybrid.strip import OTHERS, inner_rows, jets, phi_of, side_rows, vertex_rows
+from geometry.hybrid.strip import (
+    DOMAIN_POINTS,
+    OTHERS,
+    crossing,
+    inner_rows,
+    jets,
+    meeting_rows,
+    phi_of,
+    side_rows,
+    vertex_rows,
+)
 from geometry.knots import evaluation
 from geometry.patch import Patch
 
 Array = NDArray[np.float64]
 
 KNOTS = np.concatenate([np.zeros(4), [0.3, 0.55, 0.8], np.ones(4)])
-GREVILLE = np.array([KNOTS[i + 1 : i + 4].mean() for i in range(7)])
+CURLED = np.concatenate([np.zeros(4), 0.5 + 0.001 * np.arange(6), np.ones(4)])
+"""Narrow intervals, in which a surface turns within a thousandth of its length."""
 
 
-def spline_through(value: object) -> Patch:
+def spline_through(value: object, knots: Array = KNOTS) -> Patch:
     """Bicubic spline that interpolates a function at Greville points; exact for bicubic polynomials."""
-    x, y = np.meshgrid(GREVILLE, GREVILLE, indexing="ij")
-    rows = evaluation(KNOTS, 3, GREVILLE)
-    B = np.zeros((7, 7))
-    B[np.arange(7)[:, None], rows.first[:, None] + np.arange(4)] = rows.values
+    n = len(knots) - 4
+    places = np.array([knots[i + 1 : i + 4].mean() for i in range(n)])
+    x, y = np.meshgrid(places, places, indexing="ij")
+    rows = evaluation(knots, 3, places)
+    B = np.zeros((n, n))
+    B[np.arange(n)[:, None], rows.first[:, None] + np.arange(4)] = rows.values
     inverse = np.linalg.inv(B)
     z = inverse @ value(x, y) @ inverse.T  # type: ignore[operator]
-    return Patch((KNOTS, KNOTS), np.stack([x, y, z], axis=-1))
+    return Patch((knots, knots), np.stack([x, y, z], axis=-1))
 
 
 def psi(surface: Patch, uv: Array, steps: Array) -> Array:
@@ -98,6 +111,47 @@ def test_distance_falls_with_the_fourth_power() -> None:
     rates = np.log2(np.array(found[:-1]) / found[1:])
     assert rates.min() > 3.7
     assert found[0] < 5e-3
+
+
+def meeting(surface: Patch, uv: Array) -> tuple[Array, Array]:
+    """Control points (10, 3) of the cubic that meets a surface, over a straight triangle, and the rows behind them."""
+    a, b = DOMAIN_POINTS.T
+    rows, dofs = meeting_rows(surface.knots, (np.stack([1.0 - a - b, a, b], axis=1) @ uv)[None])
+    return rows[0] @ surface.control.reshape(-1, 3)[dofs[0]], rows[0]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=10, max_size=10), st.integers(0, 2**32 - 1))
+def test_cubic_polynomials_are_met_on_any_triangle(coefficients: list[float], seed: int) -> None:
+    powers = [(i, j) for i in range(4) for j in range(4 - i)]
+    surface = spline_through(lambda x, y: sum(c * x**i * y**j for c, (i, j) in zip(coefficients, powers)), CURLED)
+    uv = np.random.default_rng(seed).uniform(0.0, 1.0, (3, 2))
+    control, rows = meeting(surface, uv)
+    assert np.abs(rows.sum(axis=1) - 1.0).max() < 1e-12
+    x = CUBIC.tabulate(PLACES[:, 1:], 0)[0] @ control
+    assert np.abs(x - surface_points(surface, PLACES @ uv)).max() < 1e-11
+
+
+def test_rows_of_wide_triangles_are_bounded_beside_narrow_intervals() -> None:
+    """A triangle from a place where the surface curls, a hundred times as wide: jets there tell nothing of the rest."""
+    surface = spline_through(lambda x, y: np.maximum(0.0, 0.502 - x), CURLED)
+    uv = np.array([(0.5025, 0.4), (0.65, 0.45), (0.55, 0.6)])
+    steps = straight(uv)[None]
+    jets_rows, _ = inner_rows(surface.knots, uv[None], steps, phi_of(uv[None], steps)[:, None] - uv[None])
+    control, rows = meeting(surface, uv)
+    assert np.abs(jets_rows).max() > 100.0  # what they would be
+    assert np.abs(rows).max() < 9.0
+    x = CUBIC.tabulate(PLACES[:, 1:], 0)[0] @ control
+    assert np.abs(x - surface_points(surface, PLACES @ uv)).max() < 1e-3
+
+
+def test_knots_at_the_ends_of_a_step_are_not_crossed() -> None:
+    knots = (KNOTS, KNOTS)
+    ends = np.array([
+        [(0.3, 0.1), (0.55, 0.3)], [(0.3, 0.1), (0.5500001, 0.3)], [(0.4, 0.2), (0.4, 0.4)], [(0.3, 0.31), (0.3, 0.5)]
+    ])  # fmt: skip
+    assert crossing(knots, ends).tolist() == [False, True, True, False]
+    assert crossing(knots, ends[:, ::-1]).tolist() == [False, True, True, False]
 
 
 def test_inner_step_is_the_blend_of_a_curve() -> None:
