@@ -18,6 +18,7 @@ from geometry.hybrid.curves import fit_cubics
 from geometry.hybrid.facemesh import FaceMesh, interior_pairs
 from geometry.hybrid.fitting import BICUBIC, CUBIC, INNER, INNER_QUAD, bezier_nets, fit_quads, fit_triangles
 from geometry.hybrid.pieces import Pieces
+from geometry.hybrid.poles import corners_of
 from iga.block import Block
 from iga.domain import Space
 
@@ -81,6 +82,7 @@ def assemble(brep: Brep, edges: list[Pieces], meshes: list[FaceMesh], flat: Mask
     nets = [bezier_nets(face, m.low, m.high) if len(m.quads) else None for face, m in zip(brep.faces, meshes)]
     for face, made, net in zip(brep.faces, meshes, nets):
         _quad_sides(face, made, net, x, sides)
+        _polar_sides(face, made, x, sides)
         _triangle_sides(face, made, x, sides)
     keys = np.array(sorted(sides))
     values = np.array([sides[tuple(k)] for k in keys.tolist()])
@@ -171,6 +173,24 @@ def _quad_sides(
             control = _on_lines(line, x[start], x[end])
         else:
             control = net[:, SIDES[k]]
+        for a, b, own in zip(start.tolist(), end.tolist(), control):
+            sides.setdefault((min(a, b), max(a, b)), own[1:3] if a < b else own[2:0:-1])
+
+
+def _polar_sides(face: Face, made: FaceMesh, x: Array, sides: Coefficients) -> None:
+    """Sides of triangles at poles: those of their cells, as of quadrilaterals."""
+    cells = made.polar
+    if cells is None:
+        return
+    net = bezier_nets(face, cells.low, cells.high)
+    corner = corners_of(cells)
+    ring = cells.corners[:, [0, 0, 1, 2]]  # from the corner of the cell behind `after`
+    for k in (1, 2, 3):
+        start, end = made.vertices[ring[:, k]], made.vertices[ring[:, (k + 1) % 4]]
+        if net is None:
+            control = _on_lines((face, None, corner[:, k], corner[:, (k + 1) % 4]), x[start], x[end])
+        else:
+            control = np.take_along_axis(net, SIDES[(cells.side + k) % 4][..., None], axis=1)
         for a, b, own in zip(start.tolist(), end.tolist(), control):
             sides.setdefault((min(a, b), max(a, b)), own[1:3] if a < b else own[2:0:-1])
 

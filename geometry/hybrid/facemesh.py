@@ -24,6 +24,7 @@ from geometry.hybrid.chart import Chart, lengths_of, to_chart, to_parameters, wi
 from geometry.hybrid.grid import ALONG, Grid, followed
 from geometry.hybrid.outline import FaceError, Outline, Sides, cut_out, outline_of, regions
 from geometry.hybrid.pieces import Pieces
+from geometry.hybrid.poles import AROUND, PolarCells, corners_of
 from geometry.hybrid.sizing import Sizing, size_at
 from geometry.hybrid.triangulation import triangulate
 from iga.errors import InputError
@@ -34,7 +35,6 @@ Mask = NDArray[np.bool_]
 
 SMOOTH = 2.3
 """Boundary vertices with a larger angle (radians) inside the face must not be the tip of an ear."""
-_AROUND = ((0, 0), (1, 0), (1, 1), (0, 1))
 
 NEAR = 1e-7
 """Distance, relative to the face, below which two points are one."""
@@ -54,7 +54,8 @@ class FaceMesh:
     low, high : (q, 2) rectangles of the quadrilaterals in the parameter plane.
     grid : where the quadrilaterals came from, if the face has one; ``kept`` as it was carried out.
     band : the right triangles, which come first, and the rectangles, which come last, if the face has a band.
-    legs : (l, 2) local numbers of the ends of the right triangles' legs.
+    legs : (l, 2) local numbers of the ends of sides of triangles that follow parameter lines.
+    polar : cells at poles, whose triangles follow the right triangles.
     """
 
     chart: Chart
@@ -67,6 +68,12 @@ class FaceMesh:
     grid: Grid | None
     band: Banding | None = None
     legs: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    polar: PolarCells | None = None
+
+    @property
+    def first_polar(self) -> int:
+        """Number of the first triangle at a pole."""
+        return 0 if self.band is None else len(self.band.segment)
 
     @property
     def outward(self) -> Index:
@@ -110,15 +117,22 @@ def mesh_faces(
 
 def _without(made: FaceMesh, double: list[tuple[int, int]]) -> Grid | None:
     """Grid without the cells that have a side that is taken."""
-    if made.grid is None or not len(made.quads):
-        return made.grid
-    kept = made.grid.kept.copy()
-    sides = np.sort(np.stack([made.quads, np.roll(made.quads, -1, axis=1)], axis=2), axis=2)
+    if made.grid is None:
+        return None
+    kept, polar = made.grid.kept.copy(), made.grid.polar.copy()
     wrong = {tuple(sorted(pair)) for pair in double}
-    bad = [q for q, own in enumerate(sides.tolist()) if any(tuple(pair) in wrong for pair in own)]
+
+    def have_it(rings: Index) -> Mask:
+        sides = np.sort(np.stack([rings, np.roll(rings, -1, axis=1)], axis=2), axis=2)
+        return np.array([any(tuple(pair) in wrong for pair in own) for own in sides.tolist()], dtype=bool)
+
     places = np.argwhere(kept)
-    kept[tuple(places[[q for q in bad if q < len(places)]].T)] = False
-    return replace(made.grid, kept=kept)
+    kept[tuple(places[have_it(made.quads[: len(places)])].T)] = False
+    if made.polar is not None:
+        for low in made.polar.low[have_it(made.polar.corners)]:
+            i, j = (int(np.abs(x - own).argmin()) for x, own in zip(made.grid.lines, low))
+            polar[i, j] = False
+    return replace(made.grid, kept=kept, polar=polar)
 
 
 def interior_pairs(made: FaceMesh) -> dict[tuple[int, int], tuple[int, int]]:
@@ -138,17 +152,23 @@ def _mesh_face(
     face = brep.faces[number]
     outline = outline_of(brep, number, chart, edges, where)
     placed = len(outline.points)
-    nodes, extra = np.zeros((0, 4), dtype=np.int64), np.zeros((0, 2))
     corners, band = np.zeros((0, 3), dtype=np.int64), None
-    if grid is not None and grid.kept.any():
-        grid, nodes, extra = _cells(brep, number, outline, grid)
-    if grid is not None and banded:
-        grid, nodes, extra, corners, band = _banded(brep, number, chart, outline, grid, nodes, extra)
+    nodes, extra, polar = np.zeros((0, 4), dtype=np.int64), np.zeros((0, 2)), None
+    if grid is not None:
+        cells = _cells(brep, number, outline, grid)
+        grid, nodes, extra, polar = cells.grid, cells.nodes, cells.extra, cells.polar
+        if banded:
+            cells, corners, band = _banded(brep, number, chart, outline, cells)
+            grid, nodes, extra, polar = cells.grid, cells.nodes, cells.extra, cells.polar
     uv = np.concatenate([outline.uv, extra])
     low, high = _rectangles(grid, band)
     points = np.concatenate([outline.points, to_chart(chart, extra)])
-    sides = cut_out(face, uv, [*corners.tolist(), *nodes.tolist()], outline.leaving)
-    rest, made = points, [corners]
+    rings, places = [*corners.tolist(), *nodes.tolist()], uv[np.concatenate([corners.ravel(), nodes.ravel()])]
+    if polar is not None:
+        rings += polar.corners[:, [0, 0, 1, 2]].tolist()
+        places = np.concatenate([places, corners_of(polar).reshape(-1, 2)])
+    sides = cut_out(face, rings, places, outline.leaving)
+    rest, made = points, [corners] if polar is None else [corners, polar.corners]
     for part in regions(points, sides):
         used = np.unique(np.concatenate(part))
         loops = [np.searchsorted(used, ring) for ring in part]
@@ -168,8 +188,10 @@ def _mesh_face(
     triangles = np.concatenate(made)
     own = np.concatenate([outline.vertices, count + np.arange(len(rest) - placed)])
     _require_outline(number, outline, triangles, nodes, where)
-    legs = np.concatenate([corners[:, 1:], corners[:, [2, 0]]])
-    return FaceMesh(chart, rest, own, triangles, nodes, low, high, grid, band, legs)
+    legs = [corners[:, 1:], corners[:, [2, 0]]]
+    if polar is not None:
+        legs += [polar.corners[:, [k, (k + 1) % 3]] for k in range(3)]
+    return FaceMesh(chart, rest, own, triangles, nodes, low, high, grid, band, np.concatenate(legs), polar)
 
 
 def _require_outline(number: int, outline: Outline, triangles: Index, quads: Index, where: str) -> None:
@@ -192,36 +214,45 @@ def _rectangles(grid: Grid | None, band: Banding | None) -> tuple[Array, Array]:
     return (low, high) if band is None else (np.concatenate([low, band.low]), np.concatenate([high, band.high]))
 
 
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """A grid carried out: corners (q, 4) of its cells, parameters of vertices inside the face, triangles at poles."""
+
+    grid: Grid
+    nodes: Index
+    extra: Array
+    polar: PolarCells | None
+
+
 def _banded(
-    brep: Brep, number: int, chart: Chart, outline: Outline, grid: Grid, nodes: Index, extra: Array
-) -> tuple[Grid, Index, Array, Index, Banding | None]:
-    """Grid, corners of cells and vertices inside the face once there are right triangles (t, 3) and rectangles along
-    the curves; rectangles come last.
-    """
+    brep: Brep, number: int, chart: Chart, outline: Outline, cells: _Cells
+) -> tuple[_Cells, Index, Banding | None]:
+    """Cells once there are right triangles (t, 3) and rectangles along the curves; rectangles come last."""
     face = brep.faces[number]
+    grid, nodes, extra = cells.grid, cells.nodes, cells.extra
     if any(brep.edges[c.edge].degenerate for loop in face.loops for c in loop):
-        return grid, nodes, extra, np.zeros((0, 3), dtype=np.int64), None
+        return cells, np.zeros((0, 3), dtype=np.int64), None
     following = np.concatenate([np.roll(ring, -1) for ring in outline.loops])
     uv = np.concatenate([outline.uv, extra])
     band = band_elements(outline.plane, following, grid.lines, uv[nodes[:, [0, 2]]], chart)
     if band.crowded.any():
         kept = grid.kept.copy()
         kept[tuple(np.argwhere(kept)[band.crowded].T)] = False
-        grid, nodes, extra = _cells(brep, number, outline, replace(grid, kept=kept))
+        cells = _cells(brep, number, outline, replace(grid, kept=kept))
+        nodes, extra = cells.nodes, cells.extra
         uv = np.concatenate([outline.uv, extra])
     ring = np.stack([np.stack([(band.low, band.high)[a][:, 0], (band.low, band.high)[b][:, 1]], axis=1)
-                     for a, b in _AROUND], axis=1)
+                     for a, b in AROUND], axis=1)
     new = np.concatenate([band.corner, ring.reshape(-1, 2)])
     names, uv = joined(uv, new, lengths_of(chart))
     t = len(band.segment)
     corners = np.column_stack([band.segment, following[band.segment], names[:t]])
-    return grid, np.concatenate([nodes, names[t:].reshape(-1, 4)]), uv[len(outline.uv) :], corners, band
+    nodes = np.concatenate([nodes, names[t:].reshape(-1, 4)])
+    return replace(cells, nodes=nodes, extra=uv[len(outline.uv) :]), corners, band
 
 
-def _cells(brep: Brep, number: int, outline: Outline, grid: Grid) -> tuple[Grid, Index, Array]:
-    """Carry out a grid: corners (q, 4) of its cells, parameters of vertices inside the face; cells that do not fit the
-    pieces of the edges are dropped.
-    """
+def _cells(brep: Brep, number: int, outline: Outline, grid: Grid) -> _Cells:
+    """Carry out a grid; cells that do not fit the pieces of the edges are dropped."""
     face = brep.faces[number]
     m, n = grid.kept.shape
     name = np.full((m + 1, n + 1), -1)
@@ -233,25 +264,49 @@ def _cells(brep: Brep, number: int, outline: Outline, grid: Grid) -> tuple[Grid,
         place.append(at)
     vertex = np.flatnonzero(on)
     name[place[0][vertex], place[1][vertex]] = vertex
-    kept = grid.kept.copy()
+    kept, polar = grid.kept.copy(), grid.polar.copy()
+    for pole in grid.poles:
+        at = np.flatnonzero(outline.vertices == pole.vertex)
+        if len(at) == 1:
+            np.moveaxis(name, pole.direction, 0)[-1 if pole.upper else 0] = at[0]
+        else:  # the loops pass it several times
+            np.moveaxis(polar, pole.direction, 0)[-1 if pole.upper else 0] = False
     covered = _covered(face, grid, reach)
     sides = outline.leaving
-    for row, column in np.argwhere(kept).tolist():
-        corner = [(row + a, column + b) for a, b in _AROUND]
+    for row, column in np.argwhere(kept | polar).tolist():
+        corner = [(row + a, column + b) for a, b in AROUND]
         for k in range(4):
             (p, q), (r, s) = corner[k], corner[(k + 1) % 4]
+            if name[p, q] == name[r, s] >= 0:
+                continue  # the side at a pole
             on_edge = covered[k % 2][min(p, r), min(q, s)]
             if on_edge and (name[p, q], name[r, s]) not in sides:
-                kept[row, column] = False
+                kept[row, column] = polar[row, column] = False
     used = np.zeros((m + 1, n + 1), dtype=bool)
-    for a, b in _AROUND:
-        used[a : a + m, b : b + n] |= kept
+    for a, b in AROUND:
+        used[a : a + m, b : b + n] |= kept | polar
     new = np.argwhere(used & (name < 0))
     name[tuple(new.T)] = len(outline.uv) + np.arange(len(new))
     extra = np.stack([grid.lines[0][new[:, 0]], grid.lines[1][new[:, 1]]], axis=1)
     i, j = np.nonzero(kept)
-    nodes = np.stack([name[i + a, j + b] for a, b in _AROUND], axis=1)
-    return replace(grid, kept=kept), nodes.reshape(-1, 4), extra
+    nodes = np.stack([name[i + a, j + b] for a, b in AROUND], axis=1)
+    return _Cells(replace(grid, kept=kept, polar=polar), nodes.reshape(-1, 4), extra, _polar_cells(grid, polar, name))
+
+
+def _polar_cells(grid: Grid, polar: Mask, name: Index) -> PolarCells | None:
+    """Triangles at poles, from the numbers of the grid's vertices."""
+    parts = []
+    for pole in grid.poles:
+        mine = np.zeros_like(polar)
+        row = -1 if pole.upper else 0
+        np.moveaxis(mine, pole.direction, 0)[row] = np.moveaxis(polar, pole.direction, 0)[row]
+        i, j = np.nonzero(mine)
+        low = np.stack([grid.lines[0][i], grid.lines[1][j]], axis=1)
+        high = np.stack([grid.lines[0][i + 1], grid.lines[1][j + 1]], axis=1)
+        around = [AROUND[(pole.side + k) % 4] for k in (0, 2, 3)]
+        corners = np.stack([name[i + a, j + b] for a, b in around], axis=1)
+        parts.append((low, high, np.full(len(i), pole.side), corners))
+    return PolarCells(*map(np.concatenate, zip(*parts))) if polar.any() else None
 
 
 def _covered(face: Face, grid: Grid, reach: list[float]) -> tuple[Mask, Mask]:

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.cad.brep import Brep, Coedge, Face, curve_points, surface_frame
+from geometry.hybrid.poles import Pole, poles_of, rows
 from geometry.hybrid.sizing import Sizing, size_at
 from geometry.patch import Patch
 
@@ -42,8 +43,8 @@ LARGE = 3.0
 """Cells larger than this many times the wanted size are left to triangles."""
 SLENDER = 8.0
 """Largest ratio of sides."""
-POLAR = 4.0
-"""The same on faces with a pole, towards which cells become narrow."""
+NARROW = 16.0
+"""The same of triangles at poles."""
 SKEWED = 0.25
 """Least sine of the angle between parameter lines."""
 MOST = 40_000
@@ -62,12 +63,16 @@ class Grid:
     kept : (m, n) cells that become quadrilaterals.
     inside : (m, n) cells whose centre lies inside the loops.
     crossed : (m, n) cells that a trimming curve crosses or is too near to.
+    polar : (m, n) cells with a side at a pole that become triangles (`poles`).
+    poles : of the face.
     """
 
     lines: tuple[Array, Array]
     kept: Mask
     inside: Mask
     crossed: Mask
+    polar: Mask
+    poles: tuple[Pole, ...] = ()
 
 
 def is_flat(surface: Patch) -> bool:
@@ -130,12 +135,28 @@ def face_lines(
     inside = winding(face, raster)
     h = size_at(sizing, x[inside if inside.any() else slice(None)])
     target = min(float(np.median(h)), most)
-    lines = []
-    for d, tangent in enumerate((du, dv)):
-        speed = np.linalg.norm(tangent, axis=1).reshape(13, 13).mean(axis=1 - d)
-        same = 10 * ALONG * float(np.ptp(surface.knots[d]))
-        lines.append(_spaced(firm[d], given[d], loose[d], box[:, d], speed, target, same))
-    return lines[0], lines[1]
+    speeds = [np.linalg.norm(tangent, axis=1).reshape(13, 13) for tangent in (du, dv)]
+    same = [10 * ALONG * float(np.ptp(k)) for k in surface.knots]
+    made = [
+        _spaced(firm[d], given[d], loose[d], box[:, d], speeds[d].mean(axis=1 - d), target, same[d]) for d in range(2)
+    ]
+    poles = poles_of(brep, number)
+    if poles:
+        d = poles[0].direction
+        kept = _apart([*sorted(firm[d]), *sorted(given[d])], same[d])
+        width = speeds[1 - d].mean(axis=1 - d) * float(np.diff(made[1 - d]).max())
+        first = float(size_at(sizing, brep.vertices[[pole.vertex for pole in poles]]).min())
+        made[d] = rows(kept, poles, speeds[d].mean(axis=1 - d), width, (u, v)[d], first, target)
+    return made[0], made[1]
+
+
+def _apart(values: list[float], same: float) -> list[float]:
+    """Values that are not the same as one before, ascending."""
+    kept: list[float] = []
+    for value in values:
+        if min((abs(value - k) for k in kept), default=np.inf) > same:
+            kept.append(value)
+    return sorted(kept)
 
 
 def _spaced(
@@ -147,10 +168,7 @@ def _spaced(
     def rate(x: float) -> float:
         return float(np.interp(x, places, speed)) + 1e-300
 
-    kept: list[float] = []
-    for value in sorted(firm):
-        if not kept or value - kept[-1] > same:
-            kept.append(value)
+    kept = _apart(sorted(firm), same)
     for value in [*sorted(given), *sorted(loose)]:
         if min((abs(value - k) for k in kept), default=np.inf) > max(CLOSE * target / rate(value), same):
             kept.append(value)
@@ -264,11 +282,32 @@ def make_grid(brep: Brep, number: int, lines: tuple[Array, Array], sizing: Sizin
     kept = inside & ~crossed
     if banned is not None and banned.shape == kept.shape:
         kept &= ~banned
+    poles = tuple(poles_of(brep, number))
+    polar, beside = _at_poles(kept, poles)
+    kept &= ~beside
     chosen = np.flatnonzero(kept.ravel())
     if len(chosen):
-        polar = any(brep.edges[c.edge].degenerate for loop in face.loops for c in loop)
-        kept.ravel()[chosen] = _well_shaped(surface, lines, chosen, n, sizing, POLAR if polar else SLENDER)
-    return Grid(lines, kept, inside, crossed)
+        kept.ravel()[chosen] = _well_shaped(surface, lines, chosen, n, sizing)
+    chosen = np.flatnonzero(polar.ravel())
+    if len(chosen):
+        polar.ravel()[chosen] = _well_shaped(surface, lines, chosen, n, sizing, True)
+    for pole in poles:  # a triangle at a pole stands on a quadrilateral
+        row, after = (np.moveaxis(x, pole.direction, 0)[:: -1 if pole.upper else 1] for x in (polar, kept))
+        if len(row) > 1:
+            row[0] &= after[1]
+    return Grid(lines, kept, inside, crossed, polar, poles)
+
+
+def _at_poles(inner: Mask, poles: tuple[Pole, ...]) -> tuple[Mask, Mask]:
+    """Cells that may become triangles at a pole, and all cells beside poles."""
+    polar, beside = np.zeros_like(inner), np.zeros_like(inner)
+    for pole in poles:
+        row = np.moveaxis(beside, pole.direction, 0)[-1 if pole.upper else 0]
+        mine = np.moveaxis(polar, pole.direction, 0)[-1 if pole.upper else 0]
+        cells = np.moveaxis(inner, pole.direction, 0)[-1 if pole.upper else 0]
+        mine[:] = cells & ~row  # not between two poles
+        row[:] = True
+    return polar, beside
 
 
 def _mark(c: Coedge, lines: tuple[Array, Array], crossed: Mask) -> None:
@@ -285,8 +324,9 @@ def _mark(c: Coedge, lines: tuple[Array, Array], crossed: Mask) -> None:
 
 
 def _well_shaped(
-    surface: Patch, lines: tuple[Array, Array], chosen: Index, n: int, sizing: Sizing, slender: float
+    surface: Patch, lines: tuple[Array, Array], chosen: Index, n: int, sizing: Sizing, polar: bool = False
 ) -> Mask:
+    """Which cells are neither skew nor slender nor large; of triangles at poles only sides that have a length count."""
     i, j = chosen // n, chosen % n
     corner = np.stack([
         np.stack([lines[0][i + a], lines[1][j + b]], axis=1) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))
@@ -297,19 +337,24 @@ def _well_shaped(
     x, du, dv = surface_frame(surface, inner.reshape(-1, 2))
     size = np.linalg.norm(du, axis=1) * np.linalg.norm(dv, axis=1)
     sine = np.linalg.norm(np.cross(du, dv), axis=1) / (size + 1e-300)
-    regular = (sine.reshape(-1, 4) > SKEWED).all(axis=1)
     x = x.reshape(-1, 4, 3)
     side = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2)
-    regular &= side.max(axis=1) < slender * side.min(axis=1)
+    longest = side.max(axis=1)
+    if polar:
+        size, sine = size.reshape(-1, 4), sine.reshape(-1, 4)
+        sine = np.where(size > 1e-6 * size.max(axis=1, keepdims=True), sine, 1.0)
+        side = np.where(side > 1e-6 * longest[:, None], side, np.inf)
+    regular = (sine.reshape(-1, 4) > SKEWED).all(axis=1)
+    regular &= longest < (NARROW if polar else SLENDER) * side.min(axis=1)
     wanted = size_at(sizing, x.mean(axis=1))
-    return np.asarray(regular & (side.max(axis=1) < LARGE * wanted))
+    return np.asarray(regular & (longest < LARGE * wanted))
 
 
 def kept_share(grid: Grid) -> float:
     """Share of the inside, in the parameter plane, that becomes quadrilaterals."""
     area = np.outer(*(np.diff(x) for x in grid.lines))
     whole = float(area[grid.inside].sum())
-    return float(area[grid.kept].sum()) / whole if whole > 0.0 else 0.0
+    return float(area[grid.kept | grid.polar].sum()) / whole if whole > 0.0 else 0.0
 
 
 def count_intervals(face: Face) -> dict[str, int]:

@@ -168,9 +168,13 @@ def _per_face(
             "exact_share": float(area[mine & exact].sum() / total),
             "distance_outside_band": float(distance[mine & ~banded].max(initial=0.0) / brep.diagonal),
         })
+        e, n = np.flatnonzero(mine), len(made.quads)  # quadrilaterals first
+        if made.polar is not None:
+            first = n + made.first_polar
+            polar_area = area[e[first : first + len(made.polar.side)]].sum()
+            rows[-1] |= {"polar": len(made.polar.side), "polar_area": float(polar_area)}
         if made.band is not None:
-            e = np.flatnonzero(mine)  # quadrilaterals first
-            n, t = len(made.quads), len(made.band.segment)
+            t = len(made.band.segment)
             banded_area = area[e[n - len(made.band.low) : n]].sum() + area[e[n : n + t]].sum()
             rows[-1] |= {
                 "right_triangles": t, "rectangles": len(made.band.low), "without_right_triangle": made.band.without,

@@ -84,19 +84,30 @@ def outline_of(brep: Brep, number: int, chart: Chart, edges: list[Pieces], where
     return Outline(np.concatenate(points), np.concatenate(parameters), plane, np.concatenate(names), loops, leaving)
 
 
-def cut_out(face: Face, uv: Array, rings: list[list[int]], leaving: Sides) -> Sides:
-    """Sides of what is left when elements are cut out whose sides are pieces of edges or parameter lines."""
+def cut_out(face: Face, rings: list[list[int]], places: Array, leaving: Sides) -> Sides:
+    """Sides of what is left when elements are cut out whose sides are pieces of edges or parameter lines.
+
+    Parameters
+    ----------
+    rings : vertices around each element.
+    places : (k, 2) parameters of these, ring after ring; of a triangle at a pole those of its cell, so that its ring
+        has the vertex at the pole twice.
+    """
     left = dict(leaving)
     if not rings:
         return left
-    _, du, dv = surface_frame(face.surface, uv)
+    _, du, dv = surface_frame(face.surface, places)
+    first = 0
     for ring in rings:
-        for a, b in zip(ring, [*ring[1:], ring[0]]):
-            if left.pop((a, b), None) is None:
-                way = uv[a] - uv[b]
+        size = len(ring)
+        for k, (a, b) in enumerate(zip(ring, [*ring[1:], ring[0]])):
+            i, j = first + k, first + (k + 1) % size
+            if a != b and left.pop((a, b), None) is None:
+                way = places[i] - places[j]
                 d = int(np.abs(way).argmax())
                 along = np.sign(way[d]) * (du, dv)[d]
-                left[b, a] = (along[b], along[a])
+                left[b, a] = (along[j], along[i])
+        first += size
     return left
 
 

@@ -24,7 +24,8 @@ Each face's B-splines have the CAD surface's knots, with its continuity, and sim
 face's grid: the h-refinement of the trimmed B-rep before the HB-rep is built. Weights do not enter: a rational surface,
 or one of a higher degree, is replaced by a bicubic polynomial spline within a share of the tolerance (`splining`), with
 a proved bound of the distance where the degree allows, because the curves in space, that neighbours share, carry no
-weights. Triangles near a pole, and faces without a quadrilateral, keep C0 functions of their own.
+weights. At a pole the knot intervals become triangles (`poles`). Other triangles near a pole, and faces without a
+quadrilateral, keep C0 functions of their own.
 
 Axis letters: b Bernstein function, i function, e element, c component.
 """
@@ -43,9 +44,10 @@ from geometry.hybrid.assembling import SIDES, TURNED, Assembled, Part
 from geometry.hybrid.chart import chart_steps, parameter_bends, parameter_steps, to_parameters, widths
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.facemesh import FaceMesh
-from geometry.hybrid.fitting import BICUBIC, CUBIC, fit_triangles, measure_quads, measure_triangles
+from geometry.hybrid.fitting import BICUBIC, CUBIC, INNER, fit_triangles, measure_quads, measure_triangles
 from geometry.hybrid.grid import ALONG
 from geometry.hybrid.hbrep import tensor_rows
+from geometry.hybrid.poles import REVERSED, PolarCells, inner_row, triangle_map
 from geometry.hybrid.splining import Splined, on_lines
 from geometry.hybrid.strip import (
     DOMAIN_POINTS,
@@ -78,7 +80,6 @@ _NEAR = np.array([
     for i in range(3)
 ])
 """Functions (i, 2) beside corner i on the sides to the corners that follow."""
-_INNER = int(np.flatnonzero((CUBIC.exponents == 1).all(axis=1))[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +202,12 @@ def _at_poles(solid: Splined, meshes: list[FaceMesh], made: Assembled, points: A
         for f, (face, mesh) in enumerate(zip(solid.brep.faces, meshes)):
             mine = np.flatnonzero(part.owner == f)
             dofs = part.block.dofs[mine]
-            left = np.isin(dofs[:, _INNER], rest)
+            left = np.isin(dofs[:, INNER], rest)
             if left.all() or not left.any():
                 continue
             corners = mesh.outward[left]
             fitted = fit_triangles(face, mesh.chart, mesh.points[corners], points[dofs[left]])
-            points[dofs[left, _INNER]] = fitted.control[:, _INNER]
+            points[dofs[left, INNER]] = fitted.control[:, INNER]
     return np.asarray(points[rest])
 
 
@@ -286,6 +287,10 @@ def _face_rows(
             add(dofs.ravel(), np.repeat(functions, 16, axis=0), np.swapaxes(A, 1, 2).reshape(-1, 16))
         elif len(dofs):
             corners = mesh.outward
+            if mesh.polar is not None:
+                tips = slice(mesh.first_polar, mesh.first_polar + len(mesh.polar.side))
+                b, functions, values = _polar_rows(face, surface, mesh.polar, made.points, dofs[tips])
+                add(b, functions, values)
             w = widths(mesh.chart, mesh.points)[corners]
             regular = w.max(axis=1) <= NARROWS * w.min(axis=1)
             corners, dofs = corners[regular], dofs[regular]
@@ -304,10 +309,27 @@ def _face_rows(
                     add(dofs[across[mine], _NEAR[i, k]], everywhere[mine], whole[mine, _NEAR[i, k]])
                     own, functions = side_rows(knots, uv[:, i], uv[:, j], steps[:, i, k])
                     add(dofs[~cut, _NEAR[i, k]], functions[~cut], own[~cut])
-            add(dofs[across, _INNER], everywhere, whole[:, _INNER])
+            add(dofs[across, INNER], everywhere, whole[:, INNER])
             own, functions = inner_rows(knots, uv, steps, inwards)
-            add(dofs[:, _INNER], functions, own)
+            add(dofs[:, INNER], functions, own)
     return tuple(tuple(map(np.concatenate, zip(*kind))) for kind in (found, masked))  # type: ignore[return-value]
+
+
+def _polar_rows(
+    face: Face, surface: Patch, cells: PolarCells, control: Array, dofs: Index
+) -> tuple[Index, Index, Array]:
+    """Bernstein functions (r,), B-splines (r, 16) and entries (r, 16) of the rows of triangles at poles (k, 10)."""
+    A, functions = tensor_rows(surface.knots, _snapped(surface.knots, cells.low), _snapped(surface.knots, cells.high))
+    net = np.einsum("enb,enc->ebc", A, surface.control.reshape(-1, 3)[functions])
+    dofs = dofs[:, REVERSED] if face.reversed else dofs
+    parts: list[tuple[Index, Index, Array]] = []
+    for side in np.unique(cells.side).tolist():
+        e = np.flatnonzero(cells.side == side)
+        F = np.repeat(triangle_map(side)[None], len(e), axis=0)
+        F[:, :, INNER] = inner_row(net[e], side, control[dofs[e, INNER]])
+        own = np.einsum("enb,ebc->ecn", A[e], F)
+        parts.append((dofs[e].ravel(), np.repeat(functions[e], 10, axis=0), own.reshape(-1, 16)))
+    return tuple(map(np.concatenate, zip(*parts)))  # type: ignore[return-value]
 
 
 def _snapped(knots: tuple[Array, ...], uv: Array) -> Array:
@@ -358,7 +380,7 @@ def _steps(
         inwards[:, i] = parameter_steps(mesh.chart, q[:, i], inner - q[:, i])
         inwards[:, i] += 1.5 * parameter_bends(mesh.chart, q[:, i], ways[:, i, 0], ways[:, i, 1])
     phi = np.zeros((len(q), 10, 2))
-    phi[:, _CORNER], phi[:, _NEAR], phi[:, _INNER] = q, q[:, :, None] + ways, inner
+    phi[:, _CORNER], phi[:, _NEAR], phi[:, INNER] = q, q[:, :, None] + ways, inner
     spots = CUBIC.tabulate(DOMAIN_POINTS, 0)[0] @ phi
     return uv, steps, inwards, to_parameters(mesh.chart, spots.reshape(-1, 2)).reshape(spots.shape)
 

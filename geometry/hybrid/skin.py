@@ -118,7 +118,8 @@ def build_skin(
     ``cad_faces_with_quadrilaterals``: for each its knot intervals, areas and distance outside the band, and
     ``cad_faces_without_quadrilaterals``: for each that is not flat why. Of an HB-rep, the rows of faces have
     ``right_triangles``, ``rectangles``, why pieces of curves have no right triangle, and ``omega_banded``, the share of
-    the area that these take; ``cad_faces_without_band`` says which faces have none, and why.
+    the area that these take; rows of faces with poles ``polar`` and ``polar_area``, the triangles at them;
+    ``cad_faces_without_band`` says which faces have none, and why.
     ``edge_distance_in_file`` and ``edge_distance`` are how far edges lie off their faces, relative to the diagonal, as
     they come and as they are used.
 
