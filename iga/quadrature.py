@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,9 @@ FAMILIES = {
     "point": "Q", "line": "Q", "quadrilateral": "Q", "hexahedron": "Q", "triangle": "P", "tetrahedron": "P",
     "wedge": "PQ", "pyramid": "collapsed",
 }
+
+MOST = 40**3
+"""Points in one element: more than degree 30, the highest of the readers, needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +79,16 @@ def gauss(cell: Cell, n: int | tuple[int, ...]) -> Quadrature:
 
     Raises
     ------
-    InputError : n < 1 or the wrong number of entries.
+    InputError : n < 1, the wrong number of entries, or more than `MOST` points.
     """
     counts = (n,) * cell.dim if isinstance(n, int) else tuple(int(m) for m in n)
-    if len(counts) != cell.dim or (counts and min(counts) < 1):
-        raise InputError(f"{n} Gauss points per direction do not fit a {cell.name}")
+    if len(counts) != cell.dim:
+        raise InputError(f"{len(counts)} numbers of Gauss points do not fit a {cell.name} of dimension {cell.dim}")
+    if min(counts, default=1) < 1 or prod(counts) > MOST:
+        raise InputError(
+            f"{' x '.join(map(str, counts))} Gauss points in a {cell.name}: each direction needs one, "
+            f"and an element takes {MOST} at most"
+        )
     powers = {"triangle": (1, 0), "tetrahedron": (2, 1, 0), "wedge": (1, 0, 0), "pyramid": (0, 0, 2)}
     alphas = powers.get(cell.name, (0,) * cell.dim)
     factors = tuple(gauss_jacobi(m, a) for m, a in zip(counts, alphas))

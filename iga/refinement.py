@@ -33,6 +33,11 @@ from iga.errors import InputError
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+HIGHEST = 30
+"""A degree above this is taken for a typing error."""
+LARGEST = 1e9
+"""Most Bernstein coefficients (elements times functions of each) of a refined domain: as points they take 24 GB."""
+
 #: Children by the parent's vertices and midpoints, each point as the two vertices it lies between.
 _RED = {
     "tetrahedron": (
@@ -248,6 +253,7 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
     if levels < 0 or elevate < 0:
         raise InputError(f"levels {levels} and elevate {elevate} must not be negative")
     mesh, space = complex_of(domain), domain.space
+    _require_room(domain, levels, elevate)
     widths = [3] + [int(np.prod(a.shape[1:], dtype=int)) for a in domain.attributes.values()]
     columns = np.column_stack([domain.points, *(a.reshape(space.n, -1) for a in domain.attributes.values())])
     if space.weights is not None:
@@ -280,6 +286,23 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
         domain, space=Space(blocks, n, weights), points=np.ascontiguousarray(split[0]), boundaries=boundaries,
         attributes=attributes, report={},
     )
+
+
+def _require_room(domain: Domain, levels: int, elevate: int) -> None:
+    """Refuse what would end in want of memory, before it has taken all there is.
+
+    Raises
+    ------
+    InputError : a degree above `HIGHEST`, or more than `LARGEST` coefficients.
+    """
+    coefficients = 0
+    for block in domain.space.blocks:
+        degree = tuple(p + elevate for p in block.basis.degree)
+        if max(degree) > HIGHEST:
+            raise InputError(f"elevate={elevate} gives degree {max(degree)}; {HIGHEST} is the highest")
+        coefficients += len(block.dofs) * 8 ** min(levels, 30) * bernstein(block.basis.cell, degree).n
+    if coefficients > LARGEST:
+        raise InputError(f"levels={levels}, elevate={elevate} needs {coefficients:.0e} coefficients; take less")
 
 
 def _refined(facets: tuple[Facets, ...], bases: list[Bernstein]) -> tuple[Facets, ...]:

@@ -119,6 +119,8 @@ def load(path: str | Path) -> Domain:
         raise FormatError(f"{path}: {error}") from None
     except (OSError, EOFError, KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, MemoryError,
             zipfile.BadZipFile, RecursionError, NotImplementedError) as error:
+        if not zipfile.is_zipfile(path):
+            raise FormatError(f"{path} is not a saved domain; `iga build` makes one of a mesh or CAD file") from None
         raise FormatError(f"{path} is not a saved domain ({type(error).__name__}: {error})".splitlines()[0]) from None
     except Exception as error:  # zlib.error, struct.error and tokenize.TokenError (of array headers) share no base
         if type(error).__module__ not in ("zlib", "struct", "tokenize"):

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from geometry.cad.brep import Brep, Coedge, Curve, Edge, Face, check_brep, fit_curve, surface_points
 from geometry.cad.kernel import Label, explore, key_of, measures, read_iges, read_step, where_open, xyz
+from geometry.inputs import require_file
 from geometry.patch import Patch, make_patch
 from iga.errors import FormatError, InputError
 
@@ -65,9 +66,7 @@ def read_cad(path: str | Path, solid: int | None = None) -> Brep:
     FormatError : the file is not STEP or IGES, or Open CASCADE cannot read it.
     InputError : no solid, several solids and none said, an open shell, faces that are not valid.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FormatError(f"{path}: there is no such file")
+    path = require_file(path)
     kind = cad_format(path)
     if not kind:
         raise FormatError(f"{path}: this is not a CAD file; STEP begins with ISO-10303-21;, IGES with a start section")

@@ -1,4 +1,4 @@
-"""Geometry source for hexahedral meshes: Catmull-Clark solids, smooth volumes with a spline space on any hex mesh."""
+"""Hexahedral meshes: Catmull-Clark solids, smooth volumes with a spline space on any hex mesh."""
 
 from geometry.catmull_clark.evaluation import evaluate
 from geometry.catmull_clark.mesh import HexMesh, hex_mesh, read_hexes

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from geometry.catmull_clark.topology import Topology, build_topology, check_topology, orient
 from geometry.guarded import guarded
+from geometry.inputs import require_file
 from iga.cells import HEXAHEDRON
 from iga.errors import FormatError, InputError
 
@@ -182,8 +183,7 @@ def read_hexes(path: str | Path) -> HexMesh:
 def _read(path: Path) -> Any:
     import meshio
 
-    if not path.is_file():
-        raise FormatError(f"{path} does not exist or is no file")
+    require_file(path)
     try:
         with guarded(path) as said:
             return meshio.read(path)

@@ -52,6 +52,7 @@ from geometry.catmull_clark.settings import NAME, Parameter, Settings, parse
 from geometry.catmull_clark.shapes import SHAPES
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology, build_topology, with_kinds
+from geometry.inputs import require_file
 from iga.certificate import certify
 from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
@@ -94,7 +95,7 @@ def build(path: str | Path, **parameters: Any) -> Domain:
         mesh of hexahedra.
     """
     settings = parse(parameters)
-    mesh = hex_mesh(*SHAPES[str(path)]()) if str(path) in SHAPES else read_hexes(path)
+    mesh = hex_mesh(*SHAPES[str(path)]()) if str(path) in SHAPES else read_hexes(require_file(path, SHAPES))
     return domain_of(mesh, settings, Path(path).name, progress())
 
 

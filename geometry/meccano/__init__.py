@@ -1,4 +1,4 @@
-"""Geometry source "meccano": a closed surface triangulation as a certified spline volume."""
+"""Closed surface triangulations: certified spline volumes of any genus."""
 
 from geometry.meccano.domain import refine_domain, stored_space
 from geometry.meccano.settings import Settings

@@ -41,6 +41,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.inputs import require_file
 from geometry.layouts.blocks import pillowed
 from geometry.layouts.boundary_map import BoundaryMap, boundary_map, carried, on_surface
 from geometry.layouts.partition import partition, price
@@ -99,7 +100,7 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     clock = Clock()
     if str(path) in SHAPES:
         return domain_of(SHAPES[str(path)](), settings, str(path), {}, clock, progress())
-    surface, report = reading.read_surface(path, settings.mend)
+    surface, report = reading.read_surface(require_file(path, SHAPES), settings.mend)
     clock.lap("surface")
     return domain_of(surface, settings, Path(path).name, report, clock, progress())
 

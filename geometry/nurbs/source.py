@@ -1,14 +1,25 @@
 """The geometry source "nurbs": files and built-in shapes to domains, refinement, and writing back.
 
 Input is a G+Smo ``.xml``, GeoPDEs ``.txt`` or MFEM NURBS ``.mesh`` file (told apart by content, not by name), or the
-name of a shape (`shapes.SHAPES`, e.g. ``thick_ring``). Parameters of every input:
+name of a shape. Parameters of every input:
 
     elevate    raise the degree of all directions by this much (0)
     degree     raise the degree of each direction to at least this (0)
     refine     halve all knot intervals this many times, after elevation (0)
     tolerance  points closer than this are one when patches are glued, relative to the model's diagonal (1e-6)
 
-and of a shape, its own (radii, angles, ...; see its docstring).
+and of a shape, its own (angles in degrees; see `shapes`):
+
+    box                   length=1, width=1, height=1, degree=1, elements=1 (in each direction)
+    cube                  side=1, degree=1, elements=1
+    thick_ring            inner=1, outer=2 (radii), height=1, angle=90 (360 closes it)
+    hollow_sphere_octant  inner=1, outer=2
+    ball                  radius=1, core=0.5 (size of the cube inside, relative)
+    cylinder              radius=1, height=1, core=0.5
+    torus                 major=2, minor=0.5, angle=90, core=0.5
+    plate_with_hole       radius=1, size=4 (half a side), thickness=1
+    fichera               side=1
+    bench_cube            degree=2, elements=8
 """
 
 from __future__ import annotations
@@ -19,11 +30,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from geometry.inputs import require_file
 from geometry.knots import MAX_DEGREE
 from geometry.nurbs import geopdes, gismo, mfem
 from geometry.nurbs.domain import build_domain, from_arrays
 from geometry.nurbs.multipatch import Multipatch, Name, glue, refined
 from geometry.nurbs.shapes import SHAPES
+from geometry.parameters import require_known
 from geometry.patch import Patch, elevate
 from iga.domain import Domain
 from iga.errors import FormatError, InputError
@@ -80,8 +93,7 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     settings = check_parameters(parameters, COMMON, str(path))
     reader = _reader(path)
     if reader is None:
-        if not Path(path).exists():
-            raise InputError(f"{path}: there is no such file, nor a shape of this name ({', '.join(SHAPES)})")
+        require_file(path, SHAPES)
         raise FormatError(f"{path}: not a NURBS file (G+Smo XML, GeoPDEs text or MFEM NURBS mesh)")
     patches, names = reader(path)
     patches = [_lift(p, int(settings["degree"])) for p in patches]
@@ -127,9 +139,7 @@ def check_parameters(given: Mapping[str, Any], known: Mapping[str, Any], source:
     ------
     InputError : a name is unknown, or a value is of the wrong kind.
     """
-    unknown = sorted(set(given) - set(known))
-    if unknown:
-        raise InputError(f"{source}: unknown parameter {unknown[0]!r}; known are {', '.join(sorted(known))}")
+    require_known(f"{name} on {source}", given, known)
     settings = dict(known)
     for key, value in given.items():
         kind = type(known[key])

@@ -23,6 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geometry.guarded import guarded
+from geometry.inputs import require_file
 from geometry.simplices.mending import mended
 from geometry.simplices.surface import Surface, checked_surface, fans, require_numbers
 from iga.errors import FormatError, InputError
@@ -147,8 +148,7 @@ def _cut(points: Array, quads: Index) -> Index:
 
 def _load(path: Path) -> meshio.Mesh:
     """Meshio's answer, or a FormatError, whatever meshio does."""
-    if not path.is_file():
-        raise FormatError(f"{path}: {'is a folder, not a file' if path.is_dir() else 'no such file'}")
+    require_file(path)
     if path.suffix.lower() not in ENDINGS:
         raise FormatError(f"{path}: {path.suffix!r} is no ending of a surface file ({' '.join(ENDINGS)})")
     try:

@@ -1,4 +1,4 @@
-"""Geometry source for tetrahedral meshes: Bezier tetrahedra as they stand, or converted exactly to hexahedra."""
+"""Tetrahedral meshes: Bezier tetrahedra as they stand, or converted exactly to hexahedra."""
 
 from geometry.tet_to_hex import tets_to_degenerate_hexes, tets_to_hexes
 from geometry.tets.domain import domain_of

@@ -22,6 +22,7 @@ from meshio.gmsh import _gmsh41
 from numpy.typing import NDArray
 
 from geometry.guarded import guarded
+from geometry.inputs import require_file
 from geometry.tet_to_hex import degree_of
 from geometry.tets.mesh import LARGEST, TetMesh, checked_mesh
 from geometry.tets.order import ORDERS, node_columns, node_exponents
@@ -85,8 +86,7 @@ def read_tets(path: str | Path, tags: bool = True) -> TetMesh:
 
 def _load(path: Path) -> meshio.Mesh:
     """Meshio's answer, or a FormatError, whatever meshio does."""
-    if not path.is_file():
-        raise FormatError(f"{path}: {'is a folder, not a file' if path.is_dir() else 'no such file'}")
+    require_file(path)
     if not any(path.name.lower().endswith(ending) for ending in extensions()):
         raise FormatError(f"{path}: {path.suffix!r} is no ending of a known mesh format ({' '.join(extensions())})")
     try:

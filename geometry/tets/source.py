@@ -1,5 +1,14 @@
 r"""The geometry source "tets": meshes of linear and curved tetrahedra as Bezier tetrahedra or hexahedra.
 
+Input is a file with tetrahedra of degree 1 to 4 in a format of meshio, or the name of a shape: "cube" or "ball".
+
+    convert    "none" (default), "hex4": each tetrahedron becomes four hexahedra, exactly, or "hex1": one hexahedron
+               with a collapsed face (Xu et al. 2018)
+    degree     raise the file's degree to this one (default: as it is; 2 for shapes)
+    angle      split the boundary where neighbouring facets meet at more than this angle, in degrees (default: never)
+    tags       whether the file's groups name the boundary (default true)
+    n          of shapes only: cells along a side of the cube, refinements of the ball (default 2)
+
 Refinement is exact and nested: tetrahedra by Bey's red refinement, the hexahedra of "hex4" by de Casteljau, "hex1" by
 refining its tetrahedra (`iga.refinement`).
 
@@ -16,7 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.parameters import number, truth, whole
+from geometry.inputs import require_file
+from geometry.parameters import number, require_known, truth, whole
 from geometry.tets.domain import SOURCE, as_degenerate_hexes, as_tets, check_convert, domain_of
 from geometry.tets.mesh import TetMesh
 from geometry.tets.reader import SURFACES, extensions, read_tets
@@ -50,12 +60,8 @@ def build(path: str | Path, **parameters: Any) -> Domain:
 
     Parameters
     ----------
-    path : a file with tetrahedra in a format of meshio, or the name of a shape: "cube" or "ball".
-    n : for shapes only, cells along a side of the cube or refinements of the ball.
-    convert : "none" (default), "hex4" or "hex1".
-    degree : raise the file's degree to this one.
-    angle : split the boundary where neighbouring facets meet at more than this angle (degrees).
-    tags : whether the file's groups name the boundary (default true).
+    path : a file, or the name of a shape.
+    parameters : see the module docstring.
 
     Raises
     ------
@@ -63,16 +69,14 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     """
     shape = SHAPES.get(str(path))
     known = {"convert": "none", "degree": None, "angle": None, "tags": True} | ({"n": 2} if shape else {})
-    unknown = sorted(set(parameters) - set(known))
-    if unknown:
-        raise InputError(f"the source tets has no parameter {unknown[0]!r}; there are: {', '.join(known)}")
+    require_known(name, parameters, known)
     chosen = {**known, **parameters}
     convert = str(chosen["convert"]).lower()
     degree = None if chosen["degree"] is None else whole(chosen["degree"], "degree", 1)
     angle = None if chosen["angle"] is None else number(chosen["angle"], "angle")
     tags = truth(chosen["tags"], "tags")
     check_convert(convert)
-    mesh = shape(whole(chosen["n"], "n", 1), degree or 2) if shape else read_tets(path, tags=tags)
+    mesh = shape(whole(chosen["n"], "n", 1), degree or 2) if shape else read_tets(require_file(path, SHAPES), tags=tags)
     try:
         return domain_of(mesh, convert, degree, angle, source=Path(path).name, tags=tags)
     except InputError as error:

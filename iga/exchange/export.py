@@ -35,7 +35,7 @@ from iga.bernstein import Bernstein, bernstein, elevation, greville, lagrange_to
 from iga.cells import HEXAHEDRON, PYRAMID, QUADRILATERAL, Cell
 from iga.domain import Domain, Space
 from iga.errors import InputError
-from iga.exchange.files import replacing
+from iga.exchange.files import replacing, require_place
 from iga.pictures.sampling import Quantity, evaluate_block, homogeneous, named_quantities, subdivision
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def write_vtu(path: str | Path, domain: Domain, fields: Mapping[str, Any] | None
     """
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
-    path = _checked(path, ".vtu")
+    path = require_place(path, ".vtu")
     grid = bezier_grid(domain, fields, degree)
     writer = vtkXMLUnstructuredGridWriter()
     writer.SetInputData(grid)
@@ -97,7 +97,7 @@ def write_vtk(path: str | Path, domain: Domain, fields: Mapping[str, Any] | None
     """
     from vtkmodules.vtkIOLegacy import vtkUnstructuredGridWriter
 
-    path = _checked(path, ".vtk")
+    path = require_place(path, ".vtk")
     writer = vtkUnstructuredGridWriter()
     writer.SetInputData(linear_grid(domain, fields, pieces))
     writer.SetFileTypeToBinary()
@@ -106,13 +106,6 @@ def write_vtk(path: str | Path, domain: Domain, fields: Mapping[str, Any] | None
         writer.SetFileName(str(temporary))
         if writer.Write() != 1 or writer.GetErrorCode() != 0:
             raise InputError(f"{path}: cannot be written (is the disk full?)")
-    return path
-
-
-def _checked(path: str | Path, suffix: str) -> Path:
-    path = Path(path)
-    if path.suffix.lower() != suffix:
-        raise InputError(f"{path}: the name of this file must end in {suffix}")
     return path
 
 

@@ -10,6 +10,23 @@ from pathlib import Path
 from iga.errors import InputError
 
 
+def require_place(path: str | Path, suffix: str = "") -> Path:
+    """Return the path if a file could stand there; asked before long work, so that none is lost to a typing error.
+
+    Raises
+    ------
+    InputError : the name has another suffix, the folder is missing, or a folder has this name.
+    """
+    path = Path(path)
+    if suffix and path.suffix.lower() != suffix:
+        raise InputError(f"{path}: the name of this file must end in {suffix}")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, not a file")
+    return path
+
+
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path to write to; on success it takes the place of `path`, on failure it is removed.
@@ -20,11 +37,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     ------
     InputError : the folder is missing, cannot be written, or the disk is full; what was at `path` is still there.
     """
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.parent}")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, not a file")
+    path = require_place(path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
         yield temporary

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 
 import numpy as np
 import pytest
 
+from geometry.nurbs import source
 from geometry.nurbs.shapes import SHAPES, bench_cube, hollow_sphere_octant, thick_ring, torus
 from geometry.nurbs.source import build, refine
 from geometry.patch import evaluate
@@ -162,7 +164,7 @@ def test_rates(name: str, degree: int, start: int, levels: int, cap: float) -> N
         ("cube", {"side": 0.0}, "side|length is 0"),
         ("cube", {"degree": 0}, "degree 0"),
         ("cube", {"elements": 100000}, "elements"),
-        ("cube", {"radius": 1.0}, "unknown parameter 'radius'; known are degree, elements, elevate"),
+        ("cube", {"radius": 1.0}, "no parameter 'radius'; there are: elevate, degree, refine"),
         ("cube", {"degree": "three"}, "degree should be a whole number, not 'three'"),
         ("torus", {"major": float("nan")}, "major - minor is nan"),
         ("cylinder", {"core": 1.0}, "core is 1"),
@@ -174,3 +176,10 @@ def test_rates(name: str, degree: int, start: int, levels: int, cap: float) -> N
 def test_bad_parameters_are_named(name: str, parameters: dict, said: str) -> None:
     with pytest.raises(InputError, match=said):
         build(name, **parameters)
+
+
+def test_every_shape_and_its_measures_are_explained() -> None:
+    explained = {line.split()[0]: line for line in (source.__doc__ or "").splitlines() if line.startswith("    ")}
+    for name, maker in SHAPES.items():
+        for key, measure in inspect.signature(maker).parameters.items():
+            assert f"{key}={measure.default:g}" in explained[name]

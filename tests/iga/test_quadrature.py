@@ -61,5 +61,7 @@ def test_pyramid_rule_is_exact_for_products_of_rational_functions(p: int) -> Non
 def test_bad_counts_are_refused() -> None:
     with pytest.raises(InputError, match="Gauss points"):
         gauss(PYRAMID, 0)
-    with pytest.raises(InputError, match="Gauss points"):
+    with pytest.raises(InputError, match="1000 x 1000 x 1000 Gauss points"):
+        gauss(PYRAMID, 1000)
+    with pytest.raises(InputError, match="2 numbers of Gauss points"):
         gauss(PYRAMID, (2, 2))

@@ -77,3 +77,11 @@ def test_pyramids_elevate_but_do_not_refine() -> None:
     assert abs(volume(refine(domain, 0, 2)) - volume(domain)) < 1e-14
     with pytest.raises(InputError, match="pyramid cannot be refined"):
         refine(domain)
+
+
+def test_what_would_take_all_memory_is_refused() -> None:
+    domain = straight_domain(*box_complex(HEXAHEDRON, 1), 2)
+    with pytest.raises(InputError, match="levels=20, elevate=1 needs 7e"):
+        refine(domain, 20, 1)
+    with pytest.raises(InputError, match="gives degree 40"):
+        refine(domain, 0, 38)

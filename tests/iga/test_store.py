@@ -80,6 +80,9 @@ def test_missing_folder_is_one_line(tmp_path: Path) -> None:
         save(everything(), tmp_path / "nowhere" / "d.npz")
     with pytest.raises(FormatError, match="does not exist"):
         load(tmp_path / "d.npz")
+    (tmp_path / "mesh.vtk").write_text("# vtk DataFile Version 3.0")
+    with pytest.raises(FormatError, match="is not a saved domain; `iga build` makes one"):
+        load(tmp_path / "mesh.vtk")
 
 
 @pytest.fixture(scope="module")

@@ -95,7 +95,38 @@ def test_bad_input_is_one_line(ball: Path, tmp_path: Path, capsys: pytest.Captur
     assert "negative" in refused(capsys, "refine", ball, "--levels", -1, "-o", out)
     assert "no study" in refused(capsys, "study", "run", "of_nothing")
     assert "suffix" in refused(capsys, "export", ball, "-o", tmp_path / "x.stl")
-    assert "there is no folder" in refused(capsys, "build", "ball", "--source", "tets", "-o", tmp_path / "no" / "x.npz")
+    assert "shape of this name (cube, ball)" in refused(capsys, "build", "bal", "--source", "tets", "-o", out)
+
+
+def test_places_are_checked_before_the_work(
+    ball: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def worked(*_: object, **__: object) -> None:
+        raise AssertionError("the work began")
+
+    for name in ("geometry.build", "geometry.refine", "problems.solve_exact", "studies.describe.export"):
+        monkeypatch.setattr(name, worked)
+    missing = tmp_path / "no" / "x"
+    assert "there is no folder" in refused(capsys, "build", "ball", "--source", "tets", "-o", missing)
+    assert "there is no folder" in refused(capsys, "refine", ball, "-o", missing)
+    assert "there is no folder" in refused(capsys, "export", ball, "-o", missing.with_suffix(".vtk"))
+    assert "there is no folder" in refused(capsys, "solve", ball, "--heat", "--exact", "x", "-o", f"{missing}.vtu")
+    assert "end in .vtu" in refused(capsys, "solve", ball, "--heat", "--exact", "x", "-o", tmp_path / "x.vtk")
+
+
+def test_wrong_words_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """An option or name that a command would not heed is an error, and says what is expected."""
+    for said, words in (
+        ("unrecognized arguments: of_nothing", "study list of_nothing"),
+        ("unrecognized arguments: --size", "study check tet_to_hex_exactness --size full"),
+        ("unrecognized arguments: --mesh", "bench cube --mesh a.vtk"),
+        ("three numbers as 1,-2,0.5 are needed, not '1,0'", "plot a.npz -o a.png --view 1,0"),
+    ):
+        with pytest.raises(SystemExit) as stop:
+            main(words.split())
+        assert stop.value.code == 2
+        assert said in capsys.readouterr().err
+    assert "must be positive" in refused(capsys, "bench", "cube", "--elements", "0")
 
 
 def test_folded_solids_are_built_and_not_solved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,7 +154,7 @@ def test_folded_solids_are_built_and_not_solved(tmp_path: Path, capsys: pytest.C
 
 
 def test_help_is_there(capsys: pytest.CaptureFixture[str]) -> None:
-    for words in ([], ["build"], ["solve"], ["study"], ["bench"]):
+    for words in ([], ["build"], ["solve"], ["study"], ["study", "run"], ["bench", "cube"]):
         with pytest.raises(SystemExit) as stop:
             main([*words, "--help"])
         assert stop.value.code == 0
