@@ -44,6 +44,8 @@ ON = 0.02
 """Share of a side within which a point counts as on it, or at its end."""
 DEPTH = 0.6
 """Share of the way to the next line that a rectangle between two others may take."""
+NEAR = 1e-7
+"""Distance, relative to the face, below which two points are one."""
 STRAIGHT = 1e-7
 """Extent, relative to the face, below which a piece follows a parameter line."""
 _T = np.linspace(0.0, 1.0, 9)
@@ -246,9 +248,10 @@ def _sound(elements: list[_Element], plane: Array) -> list[_Element]:
     while True:
         corners = {n: _corners(elements[n]) for n in sorted(alive)}
         nodes = np.concatenate([outline, *corners.values()])
-        wrong = {n for n in alive if elements[n].kind != "cell" and _ends_on(elements[n].sides, nodes)}
+        same = NEAR * float(np.linalg.norm(np.ptp(nodes, axis=0)))
+        wrong = {n for n in alive if elements[n].kind != "cell" and _ends_on(elements[n].sides, nodes, same)}
         if not wrong:  # cells meet edge to edge among themselves, and give way last
-            wrong = {n for n in alive if elements[n].kind == "cell" and _ends_on(elements[n].sides, nodes)}
+            wrong = {n for n in alive if elements[n].kind == "cell" and _ends_on(elements[n].sides, nodes, same)}
         if not wrong:
             return [elements[n] for n in sorted(alive)]
         last = max(rank[elements[n].kind] for n in wrong)
@@ -270,14 +273,18 @@ def _beside(pieces: Array, outline: Array, element: _Element) -> bool:
     return bool((np.linalg.norm(off - along[..., None] * way, axis=2) < reach).any())
 
 
-def _ends_on(sides: Array, nodes: Array) -> bool:
-    """Whether a node lies on one of the straight sides (m, 2, 2), or next to it, but not at its ends."""
+def _ends_on(sides: Array, nodes: Array, same: float) -> bool:
+    """Whether a node lies on one of the straight sides (m, 2, 2), or next to it, but not at its ends, which nodes are
+    that are no further than ``same`` from them; those that nearly are must lie along the side to count.
+    """
     way = sides[:, 1] - sides[:, 0]
     length = np.linalg.norm(way, axis=1)
     off = nodes[None] - sides[:, None, 0]
     along = np.einsum("mkc,mc->mk", off, way) / length[:, None] ** 2
     away = np.abs(off[..., 0] * way[:, None, 1] - off[..., 1] * way[:, None, 0]) / length[:, None] ** 2
-    return bool(((along > ON) & (along < 1.0 - ON) & (away < ON)).any())
+    end = np.minimum(along, 1.0 - along)
+    apart = end * length[:, None] > same
+    return bool((apart & (end > 0.0) & (away < ON * np.where(end > ON, 1.0, end))).any())
 
 
 def _holds(polygon: Array, points: Array) -> Mask:

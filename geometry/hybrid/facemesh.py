@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from geometry.cad.brep import Brep, Face, surface_frame
-from geometry.hybrid.banding import Banding, band_elements
+from geometry.hybrid.banding import NEAR, Banding, band_elements
 from geometry.hybrid.chart import Chart, lengths_of, to_chart, to_parameters, widths
 from geometry.hybrid.grid import ALONG, Grid, followed
 from geometry.hybrid.outline import FaceError, Outline, Sides, cut_out, outline_of, regions
@@ -35,9 +35,6 @@ Mask = NDArray[np.bool_]
 
 SMOOTH = 2.3
 """Boundary vertices with a larger angle (radians) inside the face must not be the tip of an ear."""
-
-NEAR = 1e-7
-"""Distance, relative to the face, below which two points are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +166,11 @@ def _mesh_face(
         places = np.concatenate([places, corners_of(polar).reshape(-1, 2)])
     sides = cut_out(face, rings, places, outline.leaving)
     rest, made = points, [corners] if polar is None else [corners, polar.corners]
-    for part in regions(points, sides):
+    try:
+        parts = regions(points, sides)
+    except InputError as error:
+        raise FaceError(number, f"{where}: {error}") from error
+    for part in parts:
         used = np.unique(np.concatenate(part))
         loops = [np.searchsorted(used, ring) for ring in part]
         smooth = _smooth(face, uv, part, used, sides)

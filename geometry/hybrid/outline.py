@@ -112,19 +112,26 @@ def cut_out(face: Face, rings: list[list[int]], places: Array, leaving: Sides) -
 
 
 def regions(points: Array, sides: Sides) -> list[list[Index]]:
-    """Loops of the regions on the left of directed sides, each region's outer loop first."""
+    """Loops of the regions on the left of directed sides, each region's outer loop first.
+
+    Raises
+    ------
+    InputError : the sides do not close.
+    """
     out: dict[int, list[int]] = {}
     for a, b in sides:
         out.setdefault(a, []).append(b)
     left = set(sides)
     rings = []
     while left:
-        a, b = min(left)
+        a, b = begin = min(left)
         ring = []
         while (a, b) in left:
             left.discard((a, b))
             ring.append(a)
-            a, b = b, _first(points, a, b, out[b])
+            a, b = b, _first(points, a, b, out.get(b, [a]))
+        if (a, b) != begin:
+            raise InputError("its elements overlap, or leave a gap")
         rings.append(np.array(ring))
     areas = [_area(points[ring]) for ring in rings]
     outer = [k for k, area in enumerate(areas) if area > 0.0]

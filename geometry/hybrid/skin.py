@@ -133,9 +133,10 @@ def build_skin(
     refuse_cusps(brep, where)
     off = edge_distances(brep)
     brep = fitted_curves(met(brep, off), tolerance)
-    solid = splined(brep, tolerance) if splines else None
+    sizes = size_edges(brep, size)
+    solid = splined(brep, tolerance, [own.min(initial=np.inf) for own in sizes[1]]) if splines else None
     brep = brep if solid is None else solid.brep
-    task, plan = _begun(brep, solid, size, tolerance, quads or splines)
+    task, plan = _begun(brep, solid, sizes, size * brep.diagonal, tolerance, quads or splines)
     best: tuple[float, Skin, Sealed | None] | None = None
     failed: FaceError | None = None
     stuck = 0
@@ -217,13 +218,15 @@ class _Plan:
     faulty: set[int] = field(default_factory=set)
 
 
-def _begun(brep: Brep, solid: Splined | None, size: float, tolerance: float, quads: bool) -> tuple[_Task, _Plan]:
-    """The first plan: elements as the curvature wants them."""
-    sizing, wanted = size_edges(brep, size)
+def _begun(
+    brep: Brep, solid: Splined | None, sizes: tuple[Sizing, list[Array]], most: float, tolerance: float, quads: bool
+) -> tuple[_Task, _Plan]:
+    """The first plan: elements as the curvature wants them, cells no larger than ``most``."""
+    sizing, wanted = sizes
     # The B-splines of all faces are revised, of plane ones too.
     flat = np.array([is_flat(face.surface) and solid is None for face in brep.faces])
     task = _Task(brep, solid, [make_chart(face) for face in brep.faces], flat, wanted, tolerance)
-    cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), size * brep.diagonal) if quads else {}
+    cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), most) if quads else {}
     cuts = {} if solid is None else compatible_cuts(brep)
     plan = _Plan(sizing, cells, set() if solid is None else set(cells), cuts, least_pieces(brep))
     if cells:
