@@ -19,8 +19,10 @@ from geometry.hybrid.chart import make_chart, to_parameters
 from geometry.hybrid.compatible import compatible_cuts, line_cuts, with_cuts, with_missing
 from geometry.hybrid.facemesh import FaceMesh, joined
 from geometry.hybrid.grid import followed
+from geometry.hybrid.outline import regions
 from geometry.hybrid.sealing import Sealed, seal
 from geometry.hybrid.splining import Splined, on_lines, splined
+from iga.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -194,6 +196,26 @@ def test_corners_on_the_outline_must_be_its_vertices() -> None:
     cut = band_elements(*straight([(0, 0), (0.5, 0), (1, 0), (0.5, 0.5), (0, 1), (0, 0.5)]), lines, none, chart)
     assert sorted(cut.corner.tolist()) == [[0.0, 0.5], [0.5, 0.0]]
     assert np.allclose(np.stack([cut.low, cut.high]), [[[0.0, 0.0]], [[0.5, 0.5]]])
+
+
+@pytest.mark.parametrize(("higher", "kept"), [(0.0, 2), (1e-9, 2), (1e-5, 1), (1e-3, 1), (0.1, 1)])
+def test_legs_from_one_vertex_end_in_one_point(higher: float, kept: int) -> None:
+    """In a notch both triangles have a leg straight up; ends that nearly meet would leave a sliver beside it."""
+    chart = make_chart(solid("curved_box").faces[0])
+    lines = (np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    outline = [(0, 0), (0.2, 0.6), (0.5, 0.3), (0.8, 0.6 + higher), (1, 0), (1, 1), (0, 1)]
+    found = band_elements(*straight(outline), lines, np.zeros((0, 2, 2)), chart)
+    assert int((np.abs(found.corner[:, 0] - 0.5) < 1e-12).sum()) == kept
+
+
+def test_sides_that_do_not_close_are_refused() -> None:
+    points = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
+    none = (np.zeros(3), np.zeros(3))
+    around = {(0, 1): none, (1, 2): none, (2, 0): none}
+    assert [ring.tolist() for ring in regions(points, around)[0]] == [[0, 1, 2]]
+    del around[2, 0]
+    with pytest.raises(InputError, match="overlap"):
+        regions(points, around)
 
 
 def test_no_knot_lies_next_to_another() -> None:
