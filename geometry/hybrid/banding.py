@@ -10,6 +10,7 @@ an element is left out where it is not sound, and general triangles take its pla
     folded    phi is not certified
     slender   a leg is much shorter than the other: the curve nearly follows a parameter line
     tangent   the curve leaves along a leg, where it turns around: the triangle would have no angle there
+    pole      the chart narrows too much within it: at a pole there are other triangles (`poles`)
     meeting   another element, or another curve, lies within, or ends on one of its straight sides
 
 Cells of the grid that a triangle needs give way to it; rectangles give way to cells.
@@ -27,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.hybrid.band import reach_of, right_angles, tangent
-from geometry.hybrid.chart import Chart, lengths_of, to_chart
+from geometry.hybrid.chart import NARROWS, Chart, lengths_of, to_chart, widths
 from geometry.hybrid.triangle import certified, make_phi, right_corner, triangle_map
 
 Array = NDArray[np.float64]
@@ -101,6 +102,7 @@ def band_elements(
     plane = _straightened(plane)
     corner = right_corner(plane[:, 0], plane[:, 3])
     slender = _slender(chart, plane, corner)
+    polar = _narrowing(chart, np.stack([plane[:, 0], plane[:, 3], corner], axis=1))
     scale = lengths_of(chart)
     plane, cells, lines = plane * scale, cells * scale, (lines[0] * scale[0], lines[1] * scale[1])
     start, end = plane[:, 0], plane[:, 3]
@@ -113,6 +115,7 @@ def band_elements(
     state = np.full(len(plane), "", dtype=object)
     state[~_monotone(plane)] = "turning"
     state[(state == "") & ~_certified(phi, ~flat)] = "folded"
+    state[(state == "") & polar] = "pole"
     state[(state == "") & slender] = "slender"
     state[(state == "") & _touching(plane, q0)] = "tangent"
     state[flat] = "flat"
@@ -124,6 +127,7 @@ def band_elements(
     rectangles = [
         _rectangle("rectangle", n, *box)
         for n, box in enumerate(_between(plane, following, q0, state == "", lines))
+        if not _narrowing(chart, np.stack(box)[None] / scale).any()
     ]
     boxes = [_rectangle("cell", n, *box) for n, box in enumerate(cells)]
     left = _sound([*triangles, *boxes, *rectangles], plane)
@@ -154,6 +158,12 @@ def _slender(chart: Chart, plane: Array, corner: Array) -> Mask:
     a, b, c = (to_chart(chart, x) for x in (plane[:, 0], plane[:, 3], corner))
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     return np.asarray(area < SLENDER * ((b - a) ** 2).sum(axis=1))
+
+
+def _narrowing(chart: Chart, corners: Array) -> Mask:
+    """Elements (e,) with corners (e, c, 2) in the parameter plane between which the chart narrows towards a pole."""
+    w = widths(chart, to_chart(chart, corners.reshape(-1, 2))).reshape(corners.shape[:2])
+    return np.asarray(w.max(axis=1) > NARROWS * w.min(axis=1))
 
 
 def _touching(plane: Array, q0: Array) -> Mask:
@@ -198,7 +208,7 @@ def _between(
     """Rectangles between the legs of triangles at their common vertices."""
     found = []
     for s, t in enumerate(following.tolist()):
-        if not (good[s] and good[t]):
+        if not (good[s] and good[t]):  # so neither ends at a pole, where the next begins elsewhere in the plane
             continue
         p = plane[t, 0]
         second, first = q0[s] - plane[s, 3], q0[t] - p

@@ -22,6 +22,8 @@ from geometry.cad.brep import Face, curve_points, surface_frame, surface_points
 
 Array = NDArray[np.float64]
 
+NARROWS = 3.0
+"""How much a chart may narrow towards a pole within an element of its parameter lines' B-splines."""
 _ROWS = 17
 
 

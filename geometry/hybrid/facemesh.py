@@ -116,20 +116,19 @@ def _without(made: FaceMesh, double: list[tuple[int, int]]) -> Grid | None:
     """Grid without the cells that have a side that is taken."""
     if made.grid is None:
         return None
-    kept, polar = made.grid.kept.copy(), made.grid.polar.copy()
     wrong = {tuple(sorted(pair)) for pair in double}
 
     def have_it(rings: Index) -> Mask:
         sides = np.sort(np.stack([rings, np.roll(rings, -1, axis=1)], axis=2), axis=2)
         return np.array([any(tuple(pair) in wrong for pair in own) for own in sides.tolist()], dtype=bool)
 
-    places = np.argwhere(kept)
-    kept[tuple(places[have_it(made.quads[: len(places)])].T)] = False
+    count = int(made.grid.kept.sum())  # rectangles of a band come after the cells
+    bad = have_it(made.quads[:count])
+    centres = 0.5 * (made.low[:count] + made.high[:count])[bad]
     if made.polar is not None:
-        for low in made.polar.low[have_it(made.polar.corners)]:
-            i, j = (int(np.abs(x - own).argmin()) for x, own in zip(made.grid.lines, low))
-            polar[i, j] = False
-    return replace(made.grid, kept=kept, polar=polar)
+        tips = 0.5 * (made.polar.low + made.polar.high)
+        centres = np.concatenate([centres, tips[have_it(made.polar.corners)]])
+    return _without_cells(made.grid, centres)
 
 
 def interior_pairs(made: FaceMesh) -> dict[tuple[int, int], tuple[int, int]]:
@@ -229,17 +228,15 @@ def _banded(
     brep: Brep, number: int, chart: Chart, outline: Outline, cells: _Cells
 ) -> tuple[_Cells, Index, Banding | None]:
     """Cells once there are right triangles (t, 3) and rectangles along the curves; rectangles come last."""
-    face = brep.faces[number]
     grid, nodes, extra = cells.grid, cells.nodes, cells.extra
-    if any(brep.edges[c.edge].degenerate for loop in face.loops for c in loop):
-        return cells, np.zeros((0, 3), dtype=np.int64), None
     following = np.concatenate([np.roll(ring, -1) for ring in outline.loops])
     uv = np.concatenate([outline.uv, extra])
-    band = band_elements(outline.plane, following, grid.lines, uv[nodes[:, [0, 2]]], chart)
+    boxes = uv[nodes[:, [0, 2]]]
+    if cells.polar is not None:
+        boxes = np.concatenate([boxes, np.stack([cells.polar.low, cells.polar.high], axis=1)])
+    band = band_elements(outline.plane, following, grid.lines, boxes, chart)
     if band.crowded.any():
-        kept = grid.kept.copy()
-        kept[tuple(np.argwhere(kept)[band.crowded].T)] = False
-        cells = _cells(brep, number, outline, replace(grid, kept=kept))
+        cells = _cells(brep, number, outline, _without_cells(grid, boxes[band.crowded].mean(axis=1)))
         nodes, extra = cells.nodes, cells.extra
         uv = np.concatenate([outline.uv, extra])
     ring = np.stack([np.stack([(band.low, band.high)[a][:, 0], (band.low, band.high)[b][:, 1]], axis=1)
@@ -250,6 +247,14 @@ def _banded(
     corners = np.column_stack([band.segment, following[band.segment], names[:t]])
     nodes = np.concatenate([nodes, names[t:].reshape(-1, 4)])
     return replace(cells, nodes=nodes, extra=uv[len(outline.uv) :]), corners, band
+
+
+def _without_cells(grid: Grid, centres: Array) -> Grid:
+    """Grid without the cells around points of the parameter plane."""
+    at = tuple(np.searchsorted(x, centres[:, d]) - 1 for d, x in enumerate(grid.lines))
+    kept, polar = grid.kept.copy(), grid.polar.copy()
+    kept[at] = polar[at] = False
+    return replace(grid, kept=kept, polar=polar)
 
 
 def _cells(brep: Brep, number: int, outline: Outline, grid: Grid) -> _Cells:

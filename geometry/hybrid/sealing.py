@@ -41,7 +41,7 @@ from scipy.sparse import coo_array, csr_array, vstack
 
 from geometry.cad.brep import Face, surface_frame
 from geometry.hybrid.assembling import SIDES, TURNED, Assembled, Part
-from geometry.hybrid.chart import chart_steps, parameter_bends, parameter_steps, to_parameters, widths
+from geometry.hybrid.chart import NARROWS, chart_steps, parameter_bends, parameter_steps, to_parameters, widths
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import BICUBIC, CUBIC, INNER, fit_triangles, measure_quads, measure_triangles
@@ -67,8 +67,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-NARROWS = 3.0
-"""How much the chart of a face may narrow towards a pole within a triangle that has the B-splines' functions."""
 ZERO = 1e-13
 DEPENDENT = 1e-6
 """Diagonal of QR, relative to the first, below which a function beside the curves is a combination of others."""

@@ -28,15 +28,17 @@ from iga.domain import check
 from problems import solve_exact
 
 
-def _common(angle: float, height: float) -> Brep:
-    """What of the unit ball lies above a plane at a height, turned about an axis that is none of the sphere's."""
+def _common(angle: float, height: float, centre: float = 0.0) -> Brep:
+    """What of the unit ball lies above a plane, turned about an axis through (0, 0, ``centre``) that is none of the
+    sphere's, from a height above which ``centre`` is.
+    """
     from OCP.BRepAlgoAPI import BRepAlgoAPI_Common
     from OCP.BRepBuilderAPI import BRepBuilderAPI_Transform
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox, BRepPrimAPI_MakeSphere
     from OCP.gp import gp_Ax1, gp_Dir, gp_Pnt, gp_Trsf
 
     turn = gp_Trsf()
-    turn.SetRotation(gp_Ax1(gp_Pnt(0, 0, 0), gp_Dir(1.0, 0.3, 0.0)), angle)
+    turn.SetRotation(gp_Ax1(gp_Pnt(0, 0, centre), gp_Dir(1.0, 0.3, 0.0)), angle)
     box = BRepPrimAPI_MakeBox(gp_Pnt(-3, -3, height), gp_Pnt(3, 3, 3)).Shape()
     turned = BRepBuilderAPI_Transform(box, turn, True).Shape()
     made: Any = BRepAlgoAPI_Common(BRepPrimAPI_MakeSphere(1.0).Shape(), turned).Shape()
@@ -229,6 +231,21 @@ def test_cuts_of_a_ball_are_closed_wherever_they_lie(angle: float, height: float
     assert report["hb_rep"]["unity_error"] < 1e-12
     h = 1.0 - height
     assert report["volume"] == pytest.approx(np.pi * h**2 * (3.0 - h) / 3.0, rel=3e-3)
+
+
+def test_faces_with_poles_have_bands_along_curves() -> None:
+    """A plane beside the poles, and one through a pole: right triangles along its curve, but none at the pole."""
+    for brep, distance in ((_common(0.5, 0.3), 0.3), (_common(0.5, 1.0, 1.0), np.cos(0.5))):
+        report = build_skin(brep, 0.2, 1e-4, splines=True).report
+        assert report["folded"] == report["crossings"] == 0
+        assert report["watertight_gap"] < 1e-15
+        assert report["max_distance"] < 1e-4
+        assert report["volume"] == pytest.approx(np.pi * (1 - distance) ** 2 * (2 + distance) / 3, rel=3e-4)
+        assert report["hb_rep"]["unity_error"] < 1e-12
+        assert not report["cad_faces_without_band"]
+        rows = [row for row in report["cad_faces_with_quadrilaterals"] if row["kind"] == "sphere"]
+        assert sum(row["right_triangles"] for row in rows) > 20
+        assert all(0.0 <= row["omega_banded"] < 0.15 for row in rows)
 
 
 def test_volume_of_half_a_ball_is_certified() -> None:
