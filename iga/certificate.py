@@ -36,8 +36,9 @@ from iga.block import Patterns, bezier_coefficients, unity_defect
 from iga.determinant import UNIT_ROUNDOFF, Array, Index, determinant, gamma, kernel_plan, splits
 from iga.domain import Domain
 from iga.errors import InputError
+from iga.kernels.bisection import bisect
 from iga.kernels.jacobian import L as LANES
-from iga.kernels.jacobian import bisect, coefficients
+from iga.kernels.jacobian import coefficients
 from iga.parallel import ranges, run, threads
 from iga.scaled_jacobian import scaled_jacobian
 

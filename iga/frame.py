@@ -26,7 +26,7 @@ from iga.block import Block, Kronecker, Patterns
 from iga.cells import HEXAHEDRON, LINE
 from iga.chunk import rule_for
 from iga.domain import Domain
-from iga.kernels import local, tensor
+from iga.kernels import scatter, tensor
 from iga.quadrature import Quadrature
 from iga.sparsity import Slots
 
@@ -227,7 +227,7 @@ def distribute(f: Frame, lo: int, hi: int, r: Array, vector: Array, weighted: bo
         contribution = (r.reshape(m * c, s * q) @ f.values[:s].reshape(s * q, -1)).reshape(m, c, -1)
     if f.dense is not None:
         contribution = contribution @ np.swapaxes(f.dense.C, 1, 2)[f.dense.pattern[lo:hi]]
-    local.add_vectors(contribution, dofs, scale, vector)
+    scatter.add_vectors(contribution, dofs, scale, vector)
 
 
 def add_diagonals(f: Frame, lo: int, hi: int, D: Array, vector: Array) -> None:
@@ -250,7 +250,7 @@ def add_diagonals(f: Frame, lo: int, hi: int, D: Array, vector: Array) -> None:
         else:
             i, j = np.triu_indices(f.block.n)
             found = np.ascontiguousarray(K[:, i == j])[:, None]
-    local.add_vectors(found, dofs, scale, vector)
+    scatter.add_vectors(found, dofs, scale, vector)
 
 
 def _squares(T: Array, a: int, b: int) -> Array:
@@ -305,7 +305,7 @@ def add_matrices(f: Frame, lo: int, hi: int, D: Array, a: int, b: int, rows: Row
     half = K.shape[1] != n * n
     upper = (np.arange(len(i)) if half else i * n + j).astype(np.int32)
     lower = upper if half else (j * n + i).astype(np.int32)
-    tensor.scatter_matrices(K, upper, lower, *where, a, b, slots.twice, rows.values)
+    scatter.scatter_matrices(K, upper, lower, *where, a, b, slots.twice, rows.values)
 
 
 def _bernstein_matrices(f: Frame, lo: int, hi: int, D: Array) -> Array:

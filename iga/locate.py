@@ -24,7 +24,9 @@ from iga.certificate import as_bernstein
 from iga.determinant import Form, determinant, form
 from iga.domain import Domain
 from iga.errors import InputError
-from iga.kernels.inversion import FOUND, LEAF, OPEN, approach, invert, query
+from iga.kernels.approach import approach
+from iga.kernels.boxes import LEAF, query
+from iga.kernels.inversion import FOUND, OPEN, invert
 from iga.parallel import ranges, run
 
 Array = NDArray[np.float64]

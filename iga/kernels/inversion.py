@@ -1,81 +1,24 @@
-r"""Compiled kernels of point location: boxes near a point, and inversion of Bezier maps.
-
-Boxes form a complete binary tree in an array: node i has the children 2i and 2i + 1, leaves hold LEAF elements each.
+r"""Compiled kernel of point location: inversion of Bezier maps.
 
 A rational map x = X / w is inverted on the polynomial system X(xi) - p w(xi) = sum_b B_b w_b (x_b - p) = 0, by damped
 Newton in barycentric coordinates lambda, of which each simplex factor of the cell has one set (two for a line).
 
-Axis letters: p point, e element, u distinct element, b Bernstein function, v barycentric coordinate, d direction.
+Axis letters: m target in an element, u distinct element, b Bernstein function, v barycentric coordinate, d direction.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
-from iga.kernels.options import OPTIONS
+from iga.kernels.options import PLAIN
 
-STRICT: dict[str, Any] = {**OPTIONS, "fastmath": False}
-
-LEAF = 4
 ITERATIONS = 60
 EXCLUDED, OPEN, FOUND = -1, 0, 1
 
 
-@njit(**STRICT)
-def query(low, high, first_leaf, order, boxes_low, boxes_high, points, radius, first, last, start, found, key):
-    """Elements whose box is within ``radius`` (p,) of each point; counts them, or writes them if ``found`` has room.
-
-    Parameters
-    ----------
-    low, high : (nodes, 3) boxes of the tree; ``order`` (e,) elements along the leaves; ``first_leaf`` the first leaf.
-    boxes_low, boxes_high : (e, 3) boxes of the elements.
-    start : (p + 1,) counts go to start[p + 1]; when writing, where each point's entries begin.
-    found, key : elements, and what to sort them by: the distance of the box, or inside it (negative) the closeness of
-        the point to its centre.
-    """
-    stack = np.empty(128, dtype=np.int64)
-    writing = len(found) > 0
-    for p in range(first, last):
-        limit = radius[p] * radius[p]
-        count = 0
-        stack[0] = 1
-        top = 0
-        while top >= 0:
-            node = stack[top]
-            top -= 1
-            distance = 0.0
-            for d in range(3):
-                gap = max(low[node, d] - points[p, d], points[p, d] - high[node, d], 0.0)
-                distance += gap * gap
-            if not distance <= limit:
-                continue
-            if node < first_leaf:
-                stack[top + 1] = 2 * node
-                stack[top + 2] = 2 * node + 1
-                top += 2
-                continue
-            for i in range((node - first_leaf) * LEAF, min((node - first_leaf + 1) * LEAF, len(order))):
-                e = order[i]
-                distance, inside = 0.0, 0.0
-                for d in range(3):
-                    a, b = boxes_low[e, d], boxes_high[e, d]
-                    gap = max(a - points[p, d], points[p, d] - b, 0.0)
-                    distance += gap * gap
-                    inside = max(inside, abs(2.0 * points[p, d] - a - b) / max(b - a, 1e-300))
-                if distance <= limit:
-                    if writing:
-                        found[start[p] + count] = e
-                        key[start[p] + count] = np.sqrt(distance) if distance > 0.0 else inside - 1.0
-                    count += 1
-        if not writing:
-            start[p + 1] = count
-
-
-@njit(**STRICT)
-def _evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes):
+@njit(**PLAIN)
+def evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes):
     """F = sum_b B_b w_b (x_b - target), and its derivatives by barycentric coordinates, slopes (v, 3); returns w.
 
     ``P`` (b, 4) is (w (x - shift), w), and so is ``target`` relative to the shift.
@@ -112,7 +55,7 @@ def _evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes):
     return w
 
 
-@njit(**STRICT)
+@njit(**PLAIN)
 def _directions(slopes, origin, J):
     """Derivatives J (3, d) by reference coordinates; origin[v] is the first coordinate of v's simplex factor."""
     d = 0
@@ -123,7 +66,7 @@ def _directions(slopes, origin, J):
             d += 1
 
 
-@njit(**STRICT)
+@njit(**PLAIN)
 def _solve(A, b, x):
     """Solve A x = b by cofactors; returns det A relative to the product of the column lengths."""
     c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
@@ -147,7 +90,7 @@ def _solve(A, b, x):
     return abs(det) / size
 
 
-@njit(**STRICT)
+@njit(**PLAIN)
 def _damped(J, F, weight, normal, right, step):
     """Levenberg-Marquardt step of J step = -F, with ``weight`` relative to the mean of the diagonal of J^T J."""
     trace = 0.0
@@ -161,7 +104,7 @@ def _damped(J, F, weight, normal, right, step):
     return _solve(normal, right, step)
 
 
-@njit(**STRICT)
+@njit(**PLAIN)
 def _move(bary, step, origin, factor, moved):
     """Add a step in reference coordinates to barycentric ones."""
     for v in range(len(origin)):
@@ -174,7 +117,7 @@ def _move(bary, step, origin, factor, moved):
             d += 1
 
 
-@njit(**STRICT)
+@njit(**PLAIN)
 def _project(bary, origin):
     """Nearest point of the cell: of each simplex factor, in its barycentric coordinates (exact for lines)."""
     v = 0
@@ -205,7 +148,7 @@ def _project(bary, origin):
         v = end
 
 
-@njit(**STRICT)
+@njit(**PLAIN)
 def _outside(P, target, J, slack, simplex):
     """Whether a linear functional separates the target from the control points, by more than ``slack``.
 
@@ -234,7 +177,7 @@ def _outside(P, target, J, slack, simplex):
     return False
 
 
-@njit(**STRICT)
+@njit(**PLAIN)
 def invert(
     nets, which, targets, exponents, scale, origin, starts, tolerance, first, last, status, barycentric, distance
 ):
@@ -270,7 +213,7 @@ def invert(
             P[b, 3] = net[b, 3]
         for s in range(len(starts)):
             bary[:] = starts[s]
-            w = _evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes)
+            w = evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes)
             if s == 0 and status[m] == OPEN:
                 _directions(slopes, origin, J)
                 if _outside(P, target, J, tolerance, simplex):
@@ -296,13 +239,13 @@ def invert(
                         break
                     _project(moved, origin)
                     bary[:] = moved
-                    w = _evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes)
+                    w = evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes)
                     residual = np.sqrt(F[0] ** 2 + F[1] ** 2 + F[2] ** 2) / w
                     continue
                 better = False
                 for _halving in range(6):
                     _move(bary, step, origin, reach, moved)
-                    w = _evaluate(P, target, exponents, scale, moved, powers, prefix, G, slopes)
+                    w = evaluate(P, target, exponents, scale, moved, powers, prefix, G, slopes)
                     trial = np.sqrt(G[0] ** 2 + G[1] ** 2 + G[2] ** 2) / w
                     if trial < residual:
                         better = True
@@ -321,193 +264,10 @@ def invert(
             lowest = bary.min()
             if lowest < 0.0:
                 _project(bary, origin)
-                w = _evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes)
+                w = evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes)
                 residual = np.sqrt(F[0] ** 2 + F[1] ** 2 + F[2] ** 2) / w
             if residual <= tolerance:
                 status[m] = FOUND
                 barycentric[m] = bary
                 distance[m] = residual
                 break
-
-
-@njit(**STRICT)
-def _reference(bary, origin, reference):
-    """Largest barycentric coordinate of each simplex factor, for each of its coordinates."""
-    for v in range(len(origin)):
-        if origin[v] == v:
-            best = v
-            for i in range(v, len(origin)):
-                if origin[i] == v and bary[i] > bary[best]:
-                    best = i
-            for i in range(v, len(origin)):
-                if origin[i] == v:
-                    reference[i] = best
-
-
-@njit(**STRICT)
-def _gradient(P, W, target, exponents, scale, bary, powers, prefix, F, slopes, G, weights, gradient):
-    """Slopes (v,) of half the squared distance by barycentric coordinates; returns the distance."""
-    w = _evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes)
-    _evaluate(W, target, exponents, scale, bary, powers, prefix, G, weights)
-    square = 0.0
-    for c in range(3):
-        G[c] = F[c] / w
-        square += G[c] * G[c]
-    for v in range(len(gradient)):
-        # Derivatives of F / w: (F_v - (F / w) w_v) / w.
-        gradient[v] = 0.0
-        for c in range(3):
-            gradient[v] += G[c] * (slopes[v, c] - G[c] * weights[v, 0]) / w
-    return np.sqrt(square)
-
-
-@njit(**STRICT)
-def _descend(H, damping, right, step):
-    """Solve (H + damping) step = right by Cholesky; False where that matrix is not positive definite."""
-    a = H[0, 0] + damping
-    if not a > 0.0:
-        return False
-    l10, l20 = H[1, 0] / a, H[2, 0] / a
-    b = H[1, 1] + damping - l10 * H[1, 0]
-    if not b > 1e-14 * (abs(H[1, 1]) + damping):
-        return False
-    c21 = H[2, 1] - l20 * H[1, 0]
-    l21 = c21 / b
-    c = H[2, 2] + damping - l20 * H[2, 0] - l21 * c21
-    if not c > 1e-14 * (abs(H[2, 2]) + damping):
-        return False
-    y1 = right[1] - l10 * right[0]
-    y2 = right[2] - l20 * right[0] - l21 * y1
-    step[2] = y2 / c
-    step[1] = y1 / b - l21 * step[2]
-    step[0] = right[0] / a - l10 * step[1] - l20 * step[2]
-    return True
-
-
-@njit(**STRICT)
-def approach(nets, which, targets, exponents, scale, origin, centre, first, last, barycentric, distance):
-    """Nearest point of given elements, by damped Newton with an active set; arguments as `invert`.
-
-    Searches from the domain point of the nearest control point (pulled a little inside), and from the centre (v,).
-    Coordinates that reach zero are held there, and released one by one while the slope pulls them back inside. Second
-    derivatives are differences of first ones.
-    """
-    variables = exponents.shape[1]
-    powers = np.empty((variables, exponents.max() + 1))
-    prefix, bary, moved, change = np.empty(variables + 1), np.empty(variables), np.empty(variables), np.empty(variables)
-    F, G, step, right = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    slopes, weights, H = np.empty((variables, 3)), np.empty((variables, 3)), np.empty((3, 3))
-    gradient, other = np.empty(variables), np.empty(variables)
-    held, reference = np.empty(variables, dtype=np.bool_), np.empty(variables, dtype=np.int64)
-    target = np.empty(3)
-    P, W = np.empty(nets.shape[1:]), np.zeros(nets.shape[1:])
-    for m in range(first, last):
-        net = nets[which[m]]
-        for c in range(3):
-            shift = net[0, c] / net[0, 3]
-            target[c] = targets[m, c] - shift
-            for b in range(len(P)):
-                P[b, c] = net[b, c] - shift * net[b, 3]
-        near, least = 0, np.inf
-        for b in range(len(P)):
-            P[b, 3] = net[b, 3]
-            W[b, 0] = net[b, 3]
-            gap = 0.0
-            for c in range(3):
-                gap += (P[b, c] / P[b, 3] - target[c]) ** 2
-            if gap < least:
-                near, least = b, gap
-        distance[m] = np.inf
-        for s in range(2):
-            for v in range(variables):
-                degree = 0
-                for i in range(variables):
-                    if origin[i] == origin[v]:
-                        degree += exponents[near, i]
-                bary[v] = centre[v] if s == 1 else 0.2 * centre[v] + 0.8 * exponents[near, v] / degree
-            held[:] = False
-            damping, released, residual = 1e-6, -1, np.inf
-            for _ in range(ITERATIONS):
-                residual = _gradient(
-                    P, W, target, exponents, scale, bary, powers, prefix, F, slopes, G, weights, gradient
-                )
-                _reference(bary, origin, reference)
-                H[:] = 0.0
-                d = 0
-                for v in range(variables):
-                    if reference[v] == v:
-                        continue
-                    right[d] = 0.0
-                    if not held[v]:
-                        right[d] = gradient[reference[v]] - gradient[v]
-                        moved[:] = bary
-                        moved[v] += 1e-6
-                        moved[reference[v]] -= 1e-6
-                        _gradient(P, W, target, exponents, scale, moved, powers, prefix, F, slopes, G, weights, other)
-                        row = 0
-                        for i in range(variables):
-                            if reference[i] != i:
-                                if not held[i]:
-                                    bend = other[i] - other[reference[i]] - gradient[i] + gradient[reference[i]]
-                                    H[row, d] += 0.5e6 * bend
-                                    H[d, row] += 0.5e6 * bend
-                                row += 1
-                    d += 1
-                trace = abs(H[0, 0]) + abs(H[1, 1]) + abs(H[2, 2])
-                progress, bound, trial = False, -1, residual
-                for _attempt in range(30):
-                    if not _descend(H, damping * trace, right, step):
-                        damping = 4.0 * damping
-                        continue
-                    change[:] = 0.0
-                    d = 0
-                    for v in range(variables):
-                        if reference[v] != v:
-                            if not held[v]:
-                                change[v] += step[d]
-                                change[reference[v]] -= step[d]
-                            d += 1
-                    reach, bound, size = 1.0, -1, 0.0
-                    for v in range(variables):
-                        size = max(size, abs(change[v]))
-                        if bary[v] + reach * change[v] < 0.0:
-                            reach, bound = bary[v] / -change[v], v
-                    if not size > 1e-15:
-                        break
-                    if bound >= 0 and bound == released and reach <= 0.0:
-                        # The slope of what was just released points inside: so does a shorter step.
-                        damping *= 4.0
-                        continue
-                    for v in range(variables):
-                        moved[v] = max(bary[v] + reach * change[v], 0.0)
-                    if bound >= 0:
-                        moved[bound] = 0.0
-                    w = _evaluate(P, target, exponents, scale, moved, powers, prefix, F, slopes)
-                    trial = np.sqrt(F[0] ** 2 + F[1] ** 2 + F[2] ** 2) / w
-                    if trial < residual or (bound >= 0 and reach <= 0.0):
-                        progress = True
-                        break
-                    damping *= 4.0
-                if progress:
-                    gain = residual - trial
-                    residual = min(trial, residual)
-                    bary[:] = moved
-                    released = -1
-                    if bound >= 0:
-                        held[bound] = True
-                    damping = max(damping / 16.0, 1e-12)
-                    if bound >= 0 or gain > 1e-15 * residual:
-                        continue
-                # Stationary: release the coordinate that the slope pulls inside most.
-                best, release = -1e-13 * residual, -1
-                for v in range(variables):
-                    if held[v] and gradient[v] - gradient[reference[v]] < best:
-                        best, release = gradient[v] - gradient[reference[v]], v
-                if release < 0:
-                    break
-                held[release] = False
-                released = release
-                damping = 1e-6
-            if residual < distance[m]:
-                distance[m] = residual
-                barycentric[m] = bary

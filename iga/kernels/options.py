@@ -11,3 +11,5 @@ OPTIONS: dict[str, Any] = {
     # Contraction to fused multiply-add and reordering of sums; infinities and NaN keep their meaning.
     "fastmath": {"contract", "reassoc", "nsz"},
 }
+#: The same without any licence: sums as they are written, infinities and NaN as IEEE has them.
+PLAIN: dict[str, Any] = {**OPTIONS, "fastmath": False}
