@@ -32,8 +32,8 @@ from iga.domain import Domain, Facets, facets_of
 from iga.errors import InputError
 from iga.field import Coefficient, Field, evaluate
 from iga.integrands import Diffusion, Elasticity, Load, Mass, strain_operator
+from iga.linear.coarse_space import rigid_motions
 from iga.linear.factorization import factorize
-from iga.linear.preconditioners import rigid_motions
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -31,7 +31,8 @@ from iga.field import Field
 from iga.pictures.plot import plot_field
 from iga.progress import Progress
 from problems import Heat, heat
-from studies.catmull_clark_models import DATA, halves
+from studies.catmull_clark_models import halves
+from studies.data import HEXES
 from studies.figures import plot_panels
 from studies.study import Figure, Result, Size
 from studies.table import Column, table
@@ -85,8 +86,8 @@ def _meshes(size: Size, progress: Progress) -> dict[str, HexMesh]:
     made = {name: hex_mesh(*mesh) for name, mesh in shapes.items()}
     if size == "full":
         for file in ("rod.vtk", "bunny_octree.vtk", "airplane1_octree.vtk"):
-            if (DATA / file).is_file():
-                made[file] = read_hexes(DATA / file)
+            if (HEXES / file).is_file():
+                made[file] = read_hexes(HEXES / file)
             else:
                 progress.say(f"{file} is not there and left out")
     return {name: replace(mesh, attributes={"value": banded(mesh.points)}) for name, mesh in made.items()}

@@ -48,6 +48,7 @@ from iga.pictures.plot import plot_field
 from iga.progress import Progress
 from problems import Elasticity, Heat, Solution, elasticity, heat, solve_exact
 from problems.material import isotropic
+from studies.data import HEXES
 from studies.figures import plot_panels
 from studies.study import Figure, Result, Size
 from studies.table import Column, table
@@ -77,7 +78,6 @@ COLUMNS = (
     Column("solve_s", "time", "s"),
 )
 SLOPES = ()
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "hex"
 MODELS = {
     "bunny_octree.vtk": (2, (0.3, -1.0, 0.3)), "airplane1_octree.vtk": (0, (0.6, -1.0, 0.9)),
     "bone_octree.vtk": (0, (0.3, -1.0, 0.6)), "ellipsoid.mesh": (0, (0.3, -1.0, 0.6)),
@@ -118,8 +118,8 @@ def _models(size: Size, progress: Progress) -> dict[str, tuple[HexMesh, int, tup
         made[name] = (mesh, axis, None)
     if size == "full":
         for file, (axis, view) in MODELS.items():
-            if (DATA / file).is_file():
-                made[file] = (read_hexes(DATA / file), axis, view)
+            if (HEXES / file).is_file():
+                made[file] = (read_hexes(HEXES / file), axis, view)
             else:
                 progress.say(f"{file} is not there and left out")
     return made

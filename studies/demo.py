@@ -24,12 +24,12 @@ from iga.progress import Progress
 from problems import Elasticity, Heat, Solution, benchmarks, elasticity, heat, parse, parse_vector
 from problems.material import isotropic
 from studies.catmull_clark_models import halves
+from studies.data import DATA
 from studies.report import Picture, Section, print_run, write_report
 from studies.study import find, run_study
 from studies.table import Column, Value, table
 
 LABELS = {"von_mises": "von Mises stress", "temperature": "temperature"}
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 HEXES = DATA / "hex" / "fertility.vtk"
 STUDIES = ("tet_to_hex_exactness", "tet_to_hex_continuity", "nurbs_convergence", "tets_versus_hexes")
 COLUMNS = (

@@ -34,8 +34,8 @@ from iga.certificate import certify
 from iga.domain import Domain, counts
 from iga.progress import Progress
 from problems import solve_exact
+from studies.data import CAD
 from studies.figures import Series, convergence, drawing
-from studies.hybrid_models import DATA
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Table, Value, table
 
@@ -85,9 +85,9 @@ def run(size: Size, progress: Progress) -> Result:
     rows: list[dict[str, Value]] = []
     plain = 1.0
     for variant, levels in progress.track(LEVELS[size].items(), "variants"):
-        if variant == "part" and not (DATA / PART).is_file():
+        if variant == "part" and not (CAD / PART).is_file():
             continue
-        text, own = (str(DATA / PART), {}) if variant == "part" else (SOLID, SETTINGS | VARIANTS[variant])
+        text, own = (str(CAD / PART), {}) if variant == "part" else (SOLID, SETTINGS | VARIANTS[variant])
         domain = geometry.build(text, "hybrid", **{"subdivide": 0, **own})
         if variant not in ("pyramids", "hexes"):
             h = (domain.report["cad_volume"] / sum(counts(domain).values())) ** (1.0 / 3.0)

@@ -35,12 +35,12 @@ from iga.errors import InputError
 from iga.pictures.plot import plot_domain
 from iga.progress import Progress
 from iga.store import load
+from studies.data import CAD
 from studies.describe import Stopwatch, describe, with_quality
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
 NAME = "hybrid_models"
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "cad"
 COLUMNS = (
     Column("model", "text", key=True),
     Column("verdict", "text"),
@@ -84,7 +84,7 @@ def run(size: Size, progress: Progress) -> Result:
         if domain is not None:
             text = f"{name}: elements, coloured by CAD face."
             figures.append(Figure(name.replace(", ", "_"), partial(_draw, domain), text))
-    files = sorted(p for p in DATA.glob("*") if p.suffix.lower() in (".step", ".stp", ".iges", ".igs"))
+    files = sorted(p for p in CAD.glob("*") if p.suffix.lower() in (".step", ".stp", ".iges", ".igs"))
     with tempfile.TemporaryDirectory() as folder:
         for path in progress.track(files if size == "full" else [], "files"):
             made = [_file(path, path.name, None, Path(folder) / "part.npz")]

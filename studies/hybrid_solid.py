@@ -36,7 +36,7 @@ from iga.domain import Domain, counts
 from iga.pictures.plot import plot_domain
 from iga.progress import Progress
 from problems import solve_exact
-from studies.hybrid_models import DATA
+from studies.data import CAD
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
@@ -91,9 +91,9 @@ def run(size: Size, progress: Progress) -> Result:
     rows: list[dict[str, Value]] = []
     figures: list[Figure] = []
     for name, largest, tolerances, filled in progress.track(CASES[size], "models"):
-        if name not in shapes.SHAPES and not (DATA / name).is_file():
+        if name not in shapes.SHAPES and not (CAD / name).is_file():
             continue
-        brep = shapes.SHAPES[name]() if name in shapes.SHAPES else read_cad(DATA / name)
+        brep = shapes.SHAPES[name]() if name in shapes.SHAPES else read_cad(CAD / name)
         for number, tolerance in enumerate(tolerances):
             skin = build_skin(brep, largest, tolerance, name, splines=True)
             row = _row(name, tolerance, skin)

@@ -64,8 +64,9 @@ from iga.pictures.sampling import Samples
 from iga.pictures.skin import Cut
 from iga.progress import QUIET, Progress
 from iga.scaled_jacobian import scale, scaled_jacobian
+from studies.data import SURFACES
 from studies.figures import plot_panels
-from studies.meccano_models import DATA, whole_boundary
+from studies.meccano_models import whole_boundary
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
@@ -112,7 +113,7 @@ class _Solids:
 
 def run(size: Size, progress: Progress) -> Result:
     """Build the paper's solid, round by round, and ours beside it."""
-    bunny = DATA / "bunny_7k.off"
+    bunny = SURFACES / "bunny_7k.off"
     full = size == "full" and bunny.is_file()
     surface = read_surface(bunny)[0] if full else star(10)
     tolerance, cells = (0.005, 10000) if full else (0.03, 1500)

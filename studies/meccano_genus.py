@@ -36,8 +36,9 @@ from iga.errors import InputError
 from iga.pictures.plot import plot_domain
 from iga.pictures.skin import Cut
 from iga.progress import Progress
+from studies.data import SURFACES
 from studies.figures import plot_panels
-from studies.meccano_models import DATA, whole_boundary
+from studies.meccano_models import whole_boundary
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
@@ -71,7 +72,7 @@ def run(size: Size, progress: Progress) -> Result:
         "torus", lambda: torus(32, 14), Settings(tolerance=0.015, max_cells=1200),
         Settings(space="t-spline", tolerance=0.03),
     )]  # fmt: skip
-    there = [DATA / name for name in FILES if (DATA / name).is_file()] if size == "full" else []
+    there = [SURFACES / name for name in FILES if (SURFACES / name).is_file()] if size == "full" else []
     for path in there:
         read: Callable[[], Surface] = lambda path=path: read_surface(path)[0]  # type: ignore[misc]  # noqa: E731
         jobs.append((path.name, read, Settings(tolerance=0.006), Settings(space="t-spline", tolerance=0.01)))

@@ -26,11 +26,11 @@ from iga.domain import Domain
 from iga.errors import InputError
 from iga.pictures.plot import plot_domain
 from iga.progress import Progress
+from studies.data import SURFACES
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
 NAME = "meccano_models"
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "surface"
 COLUMNS = (
     Column("model", "text", key=True),
     Column("verdict", "text"),
@@ -61,7 +61,7 @@ def run(size: Size, progress: Progress) -> Result:
     rows, solids = [], []
     jobs: list[tuple[str, Callable[[], Surface], Settings]] = [(k, f, s) for k, (f, s) in SMALL.items()]
     if size == "full":
-        files = sorted(DATA.glob("*.*")) if DATA.is_dir() else []
+        files = sorted(SURFACES.glob("*.*")) if SURFACES.is_dir() else []
         jobs += [(path.name, partial(_surface, path, False), Settings()) for path in files]
         jobs += [(f"{path.name}, mended", partial(_surface, path, True), Settings()) for path in files
                  if path.name in MENDED]
@@ -122,6 +122,6 @@ def _said(rows: list[dict[str, Value]], size: Size) -> str:
     good = sum(str(row["verdict"]).startswith("certified") for row in rows)
     off = sum(row["verdict"] == "certified, but off" for row in rows)
     refused = sum(str(row["verdict"]).startswith("refused") for row in rows)
-    missing = "" if size == "ci" or DATA.is_dir() else " The data folder is not there."
+    missing = "" if size == "ci" or SURFACES.is_dir() else " The data folder is not there."
     far = f" ({off} of them farther from the surface than the tolerance)" if off else ""
     return f"{good} of {len(rows)} surfaces certified{far}, {refused} refused.{missing}"

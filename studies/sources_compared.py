@@ -32,12 +32,12 @@ from iga.certificate import quality
 from iga.domain import Domain, max_degree
 from iga.progress import Progress
 from problems import solve_exact
+from studies.data import DATA
 from studies.figures import Series, convergence, drawing
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
 NAME = "sources_compared"
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 COLUMNS = (
     Column("model", "text", key=True),
     Column("way", "text", key=True),

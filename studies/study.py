@@ -20,7 +20,8 @@ from typing import Any, Literal, Protocol, cast
 from iga.errors import InputError
 from iga.exchange.files import write_text
 from iga.progress import QUIET, Progress
-from studies.table import Column, Difference, Slope, Table, compare, read_csv, to_csv, to_json
+from studies.comparison import Difference, compare
+from studies.table import Column, Slope, Table, read_csv, to_csv, to_json
 
 STUDIES: dict[str, str] = {
     name: name

@@ -26,6 +26,7 @@ from geometry.tets.detection import hexes_to_tets
 from iga.bernstein import bernstein
 from iga.cells import HEXAHEDRON, TETRAHEDRON
 from iga.progress import Progress
+from studies.data import TETS
 from studies.figures import plot_heat_table
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
@@ -45,7 +46,6 @@ COLUMNS = (
     Column("mismatch", at_most=1e-14, format=".1e"),
 )
 SLOPES: tuple[Slope, ...] = ()
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "tet"
 REAL = ("sphere_P2.msh", "escher_P2.vtk", "sphere_P4.msh", "sphere_fine_P3.msh", "torus.msh", "bob.mesh")
 DEGREES = range(1, 9)
 SEED = 20183
@@ -74,10 +74,10 @@ def run(size: Size, progress: Progress) -> Result:
 def _meshes(size: Size) -> Iterator[tuple[str, TetMesh]]:
     for degree in (2, 3, 4):
         yield "ball", shapes.ball(1 if size == "full" else 0, degree)
-    if size == "full" and DATA.is_dir():
+    if size == "full" and TETS.is_dir():
         for file in REAL:
-            if (DATA / file).is_file():
-                yield Path(file).stem, read_tets(DATA / file)
+            if (TETS / file).is_file():
+                yield Path(file).stem, read_tets(TETS / file)
 
 
 def _row(

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from iga.bernstein import Bernstein
+from iga.block import Block
 from iga.cells import HEXAHEDRON, PYRAMID, TETRAHEDRON, WEDGE, Cell
 from iga.conforming import Complex
+from iga.domain import Domain, Space
 
 
 def box_complex(cell: Cell, n: int) -> tuple[Complex, np.ndarray]:
@@ -73,3 +76,9 @@ def bend(points: np.ndarray) -> np.ndarray:
     """A smooth map of space that is not affine, with positive Jacobian near the unit cube."""
     x, y, z = np.moveaxis(points, -1, 0)
     return np.stack([x + 0.15 * y * z + 0.1 * x * y, y - 0.12 * x * z + 0.05 * y * y, z + 0.1 * x * x], axis=-1)
+
+
+def discontinuous(basis: Bernstein, points: np.ndarray, weights: np.ndarray | None = None) -> Domain:
+    """Elements with control points (e, n, 3) that share nothing."""
+    dofs = np.arange(points.shape[0] * basis.n).reshape(-1, basis.n)
+    return Domain(Space((Block(basis, dofs),), dofs.size, weights), points.reshape(-1, 3))

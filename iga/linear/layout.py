@@ -13,7 +13,7 @@ from scipy.sparse import csr_array, eye_array, kron
 
 from iga.domain import Domain
 from iga.errors import InputError
-from iga.linear.preconditioners import (
+from iga.linear.coarse_space import (
     COARSER,
     CoarseSpace,
     degree_one,

@@ -18,7 +18,7 @@ from iga.errors import ConvergenceError, InputError
 from iga.integrands import Diffusion, Elasticity, Load, Mass, isotropic
 from iga.linear import factorization
 from iga.linear.aggregates import aggregated, aggregates
-from iga.linear.preconditioners import linear_prolongation, rigid_motions
+from iga.linear.coarse_space import linear_prolongation, rigid_motions
 from iga.linear.solvers import factorize, solve
 from iga.norms import errors
 from tests.meshes import bend, box_complex, mixed_complex

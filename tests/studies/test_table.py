@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from iga.errors import FormatError, InputError
-from studies.table import Column, Slope, compare, fell_short, read_csv, render, render_rates, table, to_csv, to_json
+from studies.comparison import compare
+from studies.table import Column, Slope, fell_short, read_csv, render, render_rates, table, to_csv, to_json
 
 COLUMNS = (
     Column("degree", "int", key=True),
