@@ -58,7 +58,7 @@ def preserved(coarse: Domain, fine: Domain, elements: int = 60, seed: int = 2019
     where = locate(coarse, np.concatenate([x for x, _ in samples]), nearest=True, boxes=boxes)
     back = locate(fine, np.concatenate([x for x, _ in _skin_points(coarse, elements, random)]), nearest=True)
     apart = max(float(where.distance.max()), float(back.distance.max()))
-    skin_map, skin_crossing = _on_skin(samples, where)
+    skin_map, skin_crossing = _affine_fit(samples, where)
     field = random.standard_normal((coarse.space.n, 1))
     inside, crossing, nested = _in_cells(coarse, fine, boxes, field, elements, random)
     return Preserved(apart / diagonal, skin_map, inside, skin_crossing, crossing, nested)
@@ -92,7 +92,14 @@ def _skin_points(domain: Domain, count: int, random: np.random.Generator) -> lis
     return found
 
 
-def _on_skin(samples: list[tuple[Array, Array]], where: Location) -> tuple[float, float]:
+def _affine_fit(samples: list[tuple[Array, Array]], where: Location) -> tuple[float, float]:
+    """Largest residual of affine fits of the located coordinates, and the share of samples in several elements.
+
+    Parameters
+    ----------
+    samples : of each fine element or facet, points (q, 3) and their own coordinates (q, d).
+    where : all these points in the coarse volume, one sample after the other.
+    """
     worst, crossing, at = np.nan, 0, 0
     for x, s in samples:
         rows = slice(at, at + len(x))
@@ -107,7 +114,7 @@ def _on_skin(samples: list[tuple[Array, Array]], where: Location) -> tuple[float
 def _in_cells(
     coarse: Domain, fine: Domain, boxes: Tree, field: Array, count: int, random: np.random.Generator
 ) -> tuple[float, float, float]:
-    worst, nested, crossing, total, largest = np.nan, 0.0, 0, 0, float(np.abs(field).max())
+    worst, nested, crossing, total, largest = np.nan, 0.0, 0.0, 0, float(np.abs(field).max())
     for block, chosen in zip(fine.space.blocks, _pick([b.elements for b in fine.space.blocks], count, random)):
         if not len(chosen):
             continue
@@ -119,13 +126,10 @@ def _in_cells(
         wanted = _evaluated(coarse, where.block, where.element, where.xi, field).reshape(len(chosen), -1)
         off = wanted - wanted @ np.linalg.pinv(values).T @ values.T
         nested = max(nested, float(np.abs(off).max()))
-        for e in range(len(chosen)):
-            rows = slice(e * len(s), (e + 1) * len(s))
-            total += 1
-            if len(set(zip(where.block[rows].tolist(), where.element[rows].tolist()))) > 1:
-                crossing += 1
-            else:
-                worst = np.fmax(worst, _affine_residual(s, where.xi[rows]))
+        residual, share = _affine_fit([(own, s) for own in x], where)
+        worst = np.fmax(worst, residual)
+        crossing += share * len(chosen)
+        total += len(chosen)
     return float(worst), crossing / total, nested / largest
 
 

@@ -11,9 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from geometry.layouts.topology import topology
+from geometry.layouts.voxels import Voxels, lies_like, shares
+from geometry.simplices.surface import Surface, genus
+from iga.progress import QUIET, Progress
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -21,6 +27,10 @@ Flags = NDArray[np.bool_]
 
 THICKEST = 4
 """Most layers that become one."""
+MOST = 150
+"""Blocks of a pillowed meccano that will do; with more, layers of voxels are made one."""
+MERGED = 0.6
+"""Mismatch up to which that is done."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +55,43 @@ def expanded(layers: Layers) -> Flags:
     return result
 
 
-def merged(
+def merged(surface: Surface, voxels: Voxels, progress: Progress = QUIET) -> tuple[Voxels, dict[str, Any]]:
+    """Voxels in fewer layers, where there are too many for a meccano that is refined later.
+
+    Parameters
+    ----------
+    voxels : of one size, with the topology of the solid inside the surface.
+
+    Returns
+    -------
+    The voxels and a report: voxels, boundary_sides and mismatch.
+    """
+    handles = genus(surface)
+    origin, spacing = np.array([line[0] for line in voxels.planes]), float(np.diff(voxels.planes[0][:2])[0])
+    ni, nj, nk = (len(line) - 1 for line in voxels.planes)
+    inside = np.zeros((ni, nj, nk), dtype=bool)
+    inside[tuple(voxels.cells.T)] = True
+    share = shares(surface, voxels.rotation, origin, spacing, (ni, nj, nk))
+
+    def blocks(trial: Flags) -> int:
+        found = topology(trial)
+        sound = (found.pinched, found.parts, found.outsides, found.genus) == (0, 1, 1, handles)
+        return int(trial.sum()) + found.faces if sound else 0
+
+    progress.say("fewer layers of voxels")
+    made = fewer_layers(inside, share, blocks, MOST, MERGED)
+    if handles and not lies_like(surface, voxels.rotation, origin, spacing, expanded(made)):
+        made = single(inside)
+    x, y, z = (line[first] for line, first in zip(voxels.planes, made.first, strict=True))
+    cells = np.argwhere(made.inside)
+    report = {
+        "voxels": len(cells), "boundary_sides": topology(made.inside).faces,
+        "mismatch": mismatch(made, share),
+    }
+    return Voxels(cells, voxels.rotation, (x, y, z)), report
+
+
+def fewer_layers(
     inside: Flags, share: Array, blocks: Callable[[Flags], int], most: int, limit: float
 ) -> Layers:
     """A set of voxels with fewer layers; with as many if the mismatch is above the limit already.
@@ -111,6 +157,6 @@ def single(inside: Flags) -> Layers:
 
 
 def mismatch(layers: Layers, share: Array) -> float:
-    """Volume between a set and a solid, as a share of the solid's; see `merged` for ``share``."""
+    """Volume between a set and a solid, as a share of the solid's; see `fewer_layers` for ``share``."""
     inside = expanded(layers)
     return float((np.where(inside, 1.0 - share, share)).sum() / share.sum())

@@ -18,9 +18,10 @@ from geometry.layouts.creases import along_creases, attraction
 from geometry.layouts.drawing import Drawing, layout_of, relax
 from geometry.layouts.frame import frame_of
 from geometry.layouts.layout import Layout, balance, by_labels
+from geometry.layouts.merging import merged
 from geometry.layouts.partition import price
 from geometry.layouts.routing import route
-from geometry.layouts.voxels import Voxels, merged, place, voxelise
+from geometry.layouts.voxels import Voxels, place, voxelise
 from geometry.layouts.wrapping import corner_vertices, wrap
 from geometry.simplices.paths import refined
 from geometry.simplices.surface import Surface, genus, sharp

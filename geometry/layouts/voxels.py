@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from geometry.layouts import merging
 from geometry.layouts.isotopy import deforms, simple
 from geometry.layouts.topology import defects_of, smooth_points, topology, topology_of
 from geometry.simplices.surface import Surface, area_vectors, genus
@@ -40,8 +39,6 @@ Flags = NDArray[np.bool_]
 LINES = 6  # lines per voxel and direction along which the inside is measured
 THRESHOLDS = (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # first sets: voxels with more than this share inside
 SMOOTHING = 0.1  # lambda / 6
-MOST = 150  # blocks of a pillowed meccano that may do; with more, layers of voxels are made one
-MERGED = 0.6  # mismatch up to which that is done
 FINE = 60  # fine voxels along the longest axis, on which the place of handles is judged
 COARSEST, FINEST = 3.0, 14.0  # voxels along the solid's longest axis
 
@@ -125,42 +122,6 @@ def voxelise(
     return best[1], best[2]
 
 
-def merged(surface: Surface, voxels: Voxels, progress: Progress = QUIET) -> tuple[Voxels, dict[str, Any]]:
-    """Voxels in fewer layers, where there are too many for a meccano that is refined later (`merging`).
-
-    Parameters
-    ----------
-    voxels : of one size, with the topology of the solid inside the surface.
-
-    Returns
-    -------
-    The voxels and a report: voxels, boundary_sides and mismatch.
-    """
-    handles = genus(surface)
-    origin, spacing = np.array([line[0] for line in voxels.planes]), float(np.diff(voxels.planes[0][:2])[0])
-    ni, nj, nk = (len(line) - 1 for line in voxels.planes)
-    inside = np.zeros((ni, nj, nk), dtype=bool)
-    inside[tuple(voxels.cells.T)] = True
-    share = shares(surface, voxels.rotation, origin, spacing, (ni, nj, nk))
-
-    def blocks(trial: Flags) -> int:
-        found = topology(trial)
-        sound = (found.pinched, found.parts, found.outsides, found.genus) == (0, 1, 1, handles)
-        return int(trial.sum()) + found.faces if sound else 0
-
-    progress.say("fewer layers of voxels")
-    made = merging.merged(inside, share, blocks, MOST, MERGED)
-    if handles and not _lies_like(surface, voxels.rotation, origin, spacing, merging.expanded(made)):
-        made = merging.single(inside)
-    x, y, z = (line[first] for line, first in zip(voxels.planes, made.first, strict=True))
-    cells = np.argwhere(made.inside)
-    report = {
-        "voxels": len(cells), "boundary_sides": topology(made.inside).faces,
-        "mismatch": merging.mismatch(made, share),
-    }
-    return Voxels(cells, voxels.rotation, (x, y, z)), report
-
-
 def cuboids(surface: Surface, boxes: Index) -> Voxels:
     """Voxels given as cuboids, fitted to the box of a surface along its own axes.
 
@@ -228,7 +189,7 @@ def _on_grids(
                 key = (*shift, inside.tobytes())
                 found[key] = energy + SMOOTHING * faces, energy / share.sum(), faces, origin, inside
     for _, mismatch, faces, origin, inside in sorted(found.values(), key=lambda one: one[0]):
-        if handles == 0 or _lies_like(surface, rotation, origin, spacing, inside):
+        if handles == 0 or lies_like(surface, rotation, origin, spacing, inside):
             report = {
                 "voxels": int(inside.sum()), "boundary_sides": int(faces), "resolution": number,
                 "mismatch": float(mismatch), "reach": _reach((points - origin) / spacing, inside),
@@ -238,7 +199,7 @@ def _on_grids(
     return None
 
 
-def _lies_like(surface: Surface, rotation: Array, origin: Array, spacing: float, inside: Flags) -> bool:
+def lies_like(surface: Surface, rotation: Array, origin: Array, spacing: float, inside: Flags) -> bool:
     """Whether voxels lie in space as the solid does, judged on a grid a few times finer."""
     times = int(np.ceil(FINE / max(inside.shape)))
     shape = (inside.shape[0] * times, inside.shape[1] * times, inside.shape[2] * times)

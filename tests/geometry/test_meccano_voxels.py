@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from geometry.layouts.blocks import polycube
 from geometry.layouts.frame import frame_of
 from geometry.layouts.isotopy import deforms
+from geometry.layouts.merging import MOST, merged
 from geometry.layouts.topology import topology
-from geometry.layouts.voxels import MOST, Voxels, merged, orientation, place, shares
+from geometry.layouts.voxels import Voxels, orientation, place, shares
 from geometry.simplices.surface import Surface, volume
 from iga.errors import InputError
 from tests.surfaces import body, box, torus
