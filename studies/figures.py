@@ -57,14 +57,6 @@ def drawing(path: str | Path, rows: int = 1, columns: int = 1, size: tuple[float
             figure.savefig(temporary)
 
 
-def plot_convergence(
-    path: str | Path, series: Sequence[Series], x_label: str = "$h$", y_label: str = "error", title: str = ""
-) -> None:
-    """Draw one convergence plot into a file."""
-    with drawing(path) as axes:
-        convergence(axes, series, x_label, y_label, title)
-
-
 def convergence(
     axes: Any, series: Sequence[Series], x_label: str, y_label: str, title: str = "", legend: bool = True
 ) -> None:
@@ -148,32 +140,6 @@ def _triangle(axes: Any, one: Series, drawn: list[tuple[float, float]]) -> None:
         _short(abs(one.rate)), 10.0 ** np.array([right, 0.5 * (low + high)]), (3 if forward else -3, 0),
         textcoords="offset points", ha="left" if forward else "right", va="center", **grey,
     )  # fmt: skip
-
-
-def plot_bars(
-    path: str | Path,
-    labels: Sequence[str],
-    values: dict[str, Sequence[float]],
-    y_label: str,
-    log: bool = False,
-    title: str = "",
-) -> None:
-    """Draw grouped bars: one group for every label, one colour for every key of `values`."""
-    with drawing(path, size=(max(4.6, 0.9 * len(labels) + 1.5), 3.4)) as axes:
-        width = 0.8 / len(values)
-        at = np.arange(len(labels), dtype=float)
-        for number, (name, heights) in enumerate(values.items()):
-            axes.bar(at - 0.4 + (number + 0.5) * width, heights, 0.92 * width, color=COLOURS[number], label=name)
-        axes.set_xticks(at, labels)
-        axes.tick_params(axis="x", length=0)
-        axes.set_ylabel(y_label)
-        if log:
-            axes.set_yscale("log")
-        axes.grid(True, axis="y")
-        if title:
-            axes.set_title(title)
-        if len(values) > 1:
-            axes.legend()
 
 
 def plot_heat_table(

@@ -203,10 +203,6 @@ def _positive(value: Value) -> bool:
     return isinstance(value, int | float) and math.isfinite(value) and value > 0.0
 
 
-def fell_short(made: Table, window: float = RATE_WINDOW) -> list[Rate]:
-    """Rates whose last pair stays below theory by more than the window."""
-    return [r for r in made.rates() if r.expected is not None and not r.last >= r.expected - window]
-
 
 # --- files -----------------------------------------------------------------------------------------------------------
 

@@ -14,8 +14,6 @@ Axis letters: n function, m boundary function, k sample point, c component.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
@@ -32,7 +30,6 @@ from iga.linear.solvers import solve
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Inside = Callable[[Index, Array], Array]
 
 
 def greville_points(space: Hierarchy) -> tuple[Index, Array]:
@@ -40,16 +37,6 @@ def greville_points(space: Hierarchy) -> tuple[Index, Array]:
     p, size = space.degree, np.left_shift(1, space.level)[:, None]
     inner = sum(np.clip(space.index + m - p, 0, size) for m in range(1, p + 1))
     return space.tmesh.block[space.home], inner / (p * size)
-
-
-def from_parametrisation(space: Hierarchy, inside: Inside) -> Array:
-    """Control points (n, 3) at the images of the Greville points.
-
-    Parameters
-    ----------
-    inside : points (q, 3) of the solid at blocks (q,) and coordinates (q, 3).
-    """
-    return inside(*greville_points(space))
 
 
 def fit_boundary(

@@ -19,8 +19,8 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from geometry.meccano.parametrisation import LEVELS
-from geometry.meccano.t_spline import TSpline, t_spline
-from geometry.meccano.tmesh import TMesh, cells_of
+from geometry.meccano.t_spline import TSpline
+from geometry.meccano.tmesh import cells_of
 from iga.errors import ConvergenceError, InputError
 
 Array = NDArray[np.float64]
@@ -105,15 +105,6 @@ def interpolate(own: TSpline, images: Array) -> tuple[Array, dict[str, float]]:
     if not residual < 1e-10:
         raise ConvergenceError(f"interpolation at the anchors left a relative residual of {residual:.1e}")
     return points, {"residual": residual, "condition": _condition(A, factors)}
-
-
-def resampled(own: TSpline, control: Array, tmesh: TMesh) -> tuple[TSpline, Array]:
-    """T-splines on another T-mesh of the same cube, and control points that interpolate S at its anchors.
-
-    The spaces of the paper are not nested, so S is met between the anchors only as well as they allow.
-    """
-    other = t_spline(tmesh)
-    return other, interpolate(other, points_and_slopes(own, control, other.anchors / _FULL)[0])[0]
 
 
 def _condition(A: csr_array, factors: object) -> float:

@@ -23,14 +23,8 @@ from geometry.layouts.blocks import Blocks
 from geometry.meccano.adaptation import Measure, Onto, adapt, boundary_nodes
 from geometry.meccano.bisection import BisectedMesh, coloured, kuhn, oriented, picture, place_new, refine, refine_all
 from geometry.meccano.parametrisation import Parametrisation
-from geometry.simplices.relocation import (
-    Relocated,
-    ideal_gradients,
-    mean_ratios,
-    quality,
-    relocate,
-    relocate_globally,
-)
+from geometry.simplices.kernels_relocation import shapes
+from geometry.simplices.relocation import Relocated, ideal_gradients, quality, relocate, relocate_globally
 from iga.progress import QUIET, Progress
 
 Array = NDArray[np.float64]
@@ -110,7 +104,7 @@ def parametrise(
         if not made[-1].after:
             break
         begin = perf_counter()
-        sigma = mean_ratios(mesh.tets, ideal_gradients(picture(mesh)), nodes)[0]
+        sigma = shapes(mesh.tets, ideal_gradients(picture(mesh)), nodes)[0]
         finer = refine(mesh, sigma <= 0.0, most)[0]
         finer, distance = adapt(finer, onto, tolerance, measure, most)
         moved, stage = _settle(finer, onto, nodes, sweeps, tolerance, distance, begin)

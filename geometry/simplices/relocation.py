@@ -66,14 +66,9 @@ class Quality:
     mean: float
 
 
-def mean_ratios(tets: Index, gradients: Array, nodes: Array) -> tuple[Array, Array]:
-    """Sigma (m,) and mean ratio (m,), zero where sigma <= 0."""
-    return shapes(tets, gradients, nodes)
-
-
 def quality(tets: Index, gradients: Array, nodes: Array) -> Quality:
     """Shapes of all simplices, summed up."""
-    sigma, ratio = mean_ratios(tets, gradients, nodes)
+    sigma, ratio = shapes(tets, gradients, nodes)
     return Quality(int((sigma <= 0.0).sum()), float(ratio.min()), float(ratio.mean()))
 
 
@@ -153,7 +148,7 @@ def relocate_globally(
     rows = np.flatnonzero(free)
     inverted, moves = [quality(tets, gradients, nodes).inverted], []
     for step in range(rounds if len(rows) else 0):
-        sigma = mean_ratios(tets, gradients, nodes)[0]
+        sigma = shapes(tets, gradients, nodes)[0]
         floor = max(epsilon, 0.1 ** (step + 1)) * float(np.abs(sigma).mean())
         least = float(sigma.min())
         delta = float(np.sqrt(floor * (floor - least))) if least < floor else 0.0

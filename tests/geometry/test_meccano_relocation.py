@@ -7,8 +7,8 @@ import pytest
 
 from geometry.layouts.blocks import cube, pillowed, polycube
 from geometry.meccano.bisection import BisectedMesh, coloured, kuhn, picture, refine, refine_all
-from geometry.simplices.kernels_relocation import energy_gradient, positive
-from geometry.simplices.relocation import ideal_gradients, mean_ratios, quality, relocate, relocate_globally
+from geometry.simplices.kernels_relocation import energy_gradient, positive, shapes
+from geometry.simplices.relocation import ideal_gradients, quality, relocate, relocate_globally
 from iga.errors import InputError
 
 
@@ -94,7 +94,7 @@ def test_the_picture_is_its_own_optimum(blocks) -> None:  # type: ignore[no-unty
     for _ in range(4):
         mesh, _ = refine(mesh, rng.random(len(mesh.tets)) < 0.3)
     nodes, gradients = _straight(mesh)
-    np.testing.assert_allclose(mean_ratios(mesh.tets, gradients, nodes)[1], 1.0, atol=1e-12)
+    np.testing.assert_allclose(shapes(mesh.tets, gradients, nodes)[1], 1.0, atol=1e-12)
     turn = np.linalg.qr(rng.standard_normal((blocks.dim, blocks.dim)))[0]
     turn[0] *= np.linalg.det(turn)
     moved = 3.0 * nodes @ turn.T + 1.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geometry.layouts.blocks import cube, place
-from geometry.meccano.interpolation import blending, collocation, interpolate, points_and_slopes, resampled
+from geometry.meccano.interpolation import blending, collocation, interpolate
 from geometry.meccano.parametrisation import LEVELS
 from geometry.meccano.t_spline import TSpline, boundaries, places_of, t_spline
 from geometry.meccano.tmesh import TMesh, octree, refined, uniform
@@ -207,18 +207,6 @@ def test_identity_deviates_to_first_order() -> None:
         own = t_spline(uniform(cube(2), level))
         control, _ = interpolate(own, own.anchors / FULL)
         assert np.abs(collocation(own, x) @ control - x).max() == pytest.approx(expected, rel=0.05)
-
-
-def test_another_mesh_takes_the_solid_over() -> None:
-    """At its anchors exactly; the function that evaluates agrees with the matrices."""
-    own = t_spline(graded(3, 1, 9))
-    control = np.random.default_rng(4).random((own.space.n, 3))
-    other, points = resampled(own, control, refined(own.tmesh, np.array([0])))
-    at = other.anchors / FULL
-    x, slopes = points_and_slopes(own, control, at)
-    assert np.abs(collocation(own, at) @ control - x).max() < 1e-13
-    assert np.abs(points_and_slopes(other, points, at)[0] - x).max() < 1e-12
-    assert slopes.shape == (len(at), 3, 3)
 
 
 def test_conditioning_is_harmless() -> None:

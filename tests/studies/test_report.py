@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from iga.errors import InputError
-from studies.figures import plot_bars
+from studies.figures import plot_heat_table
 from studies.report import Picture, Section, write_report
 from studies.table import Column, Slope, table
 
@@ -30,12 +31,12 @@ class Page(HTMLParser):
 
 
 def test_page_is_whole_and_self_contained(tmp_path):
-    plot_bars(tmp_path / "bars.png", ["a"], {"x": [1.0]}, "s")
+    plot_heat_table(tmp_path / "table.png", ["a"], ["x"], np.array([[1.0]]))
     columns = (Column("cell", "text", key=True), Column("h", key=True), Column("error"), Column("t", "time", "s"))
     rows = [(cell, 0.5**k, 0.25**k, None) for cell in ("tets <1>", "hexes") for k in range(3)]
     made = table("t", columns, rows, [Slope("h", "error", ("cell",), 2.0)])
     sections = [
-        Section("One & two", "First.\n\nSecond <b>.", made, (Picture(tmp_path / "bars.png", 'It "says"', True),)),
+        Section("One & two", "First.\n\nSecond <b>.", made, (Picture(tmp_path / "table.png", 'It "says"', True),)),
         Section("Rest", note="The end."),
     ]
     path = write_report(tmp_path / "index.html", "A report", "What it is.", sections)
