@@ -58,7 +58,7 @@ def matrix(
     Parameters
     ----------
     integrand : returns (e, n*c, n*c) for a chunk.
-    points : Gauss points per direction, by default degree + 1.
+    points : Gauss points per direction, by default `iga.chunk.default_points`.
     boundary : name, pattern, list of them, or facets.
     components : number c, by default the integrand's own.
 

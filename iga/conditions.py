@@ -56,7 +56,7 @@ def dirichlet(
         values (...) or (..., c), a vector (c,), a `Field`, or a tuple with an entry per component, None for a free one.
         Where boundaries overlap, the later entry holds.
     components : number c of components of the solution.
-    points : Gauss points per direction, by default degree + 1.
+    points : Gauss points per direction, by default `iga.chunk.default_points`.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def nitsche(
         overlap, the later entry holds.
     physics : the integrand of the volume: its coefficient gives the flux or traction and the penalty.
     normal : fix the normal displacement only (elasticity); values are then numbers or scalar functions of x.
-    points : Gauss points per direction, by default degree + 1.
+    points : Gauss points per direction, by default `iga.chunk.default_points`.
 
     Returns
     -------

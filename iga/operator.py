@@ -113,7 +113,7 @@ def operator(
     Parameters
     ----------
     integrand : its coefficients must be symmetric.
-    points : Gauss points per direction, by default degree + 1.
+    points : Gauss points per direction, by default `iga.chunk.default_points`.
     components : number c, by default the integrand's own.
 
     Raises

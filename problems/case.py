@@ -157,7 +157,7 @@ def make(table: Mapping[str, Any], domain: Domain) -> Case:
     if exact is not None and not isinstance(exact, str):
         raise InputError("key 'exact' must be a formula in quotes")
     solver = table.get("solver", "auto")
-    solvers = ("auto", "direct", "cg") if physics == "heat" else ("auto", "direct", "cg", "matrix-free")
+    solvers = heat.SOLVERS if physics == "heat" else elasticity.SOLVERS
     if solver not in solvers:
         raise InputError(f"solver {solver!r} is unknown; there are: {', '.join(solvers)}")
     return Case(
@@ -180,7 +180,7 @@ def solve_case(
 
 def solve(domain: Domain, case: Case, solver: str | None = None, points: int | None = None) -> Solution:
     """Solve a case: steady, transient or modes."""
-    solver, points = solver or case.solver, points or case.quadrature
+    solver, points = solver or case.solver, case.quadrature if points is None else points
     physics: Any = heat if isinstance(case.problem, heat.Heat) else elasticity
     if case.modes is not None:
         return mode_solution(domain, case, physics, points)

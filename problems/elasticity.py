@@ -22,6 +22,7 @@ from scipy.sparse import csr_array
 from iga import integrands
 from iga.assembly import matrix, vector
 from iga.chunk import Chunk, chunks
+from iga.clock import Clock
 from iga.conditions import DependentTracesError, nitsche
 from iga.domain import Domain
 from iga.errors import InputError
@@ -34,10 +35,11 @@ from problems.data import Datum, Sample, exclude, freeze, resolve, values
 from problems.material import checked, isotropic
 from problems.rigid import describe_free
 from problems.solution import Quantity, Solution, primary
-from problems.system import Clock, System, freeze_components, modes_of, prescribed
+from problems.system import System, freeze_components, modes_of, prescribed
 
 Array = NDArray[np.float64]
 
+SOLVERS = ("auto", "direct", "cg", "matrix-free")
 LARGE = 300_000_000
 """Entries of a matrix above which it is not assembled: 3.6 GB, and about three times that to solve with it."""
 LEAN_TOLERANCE = 1e-11
@@ -92,10 +94,12 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
     Raises
     ------
     InputError
-        A solver without a matrix is asked for where one is needed. Unknown boundaries, conditions that exclude each
+        Unknown solver, or one without a matrix where one is needed. Unknown boundaries, conditions that exclude each
         other, a material that is not positive definite, supports that leave rigid motions free (they are named), or
         single components or a field of materials where displacements can only be imposed weakly.
     """
+    if solver not in SOLVERS:
+        raise InputError(f"elasticity has no solver {solver!r}; there are: {', '.join(SOLVERS)}")
     clock = Clock()
     problem = resolved(problem, domain)
     C = checked(problem.stiffness, "stiffness", 6, domain)
@@ -134,7 +138,7 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
     energy = 0.5 * float(u @ (K @ u if springs is None else K @ u - springs @ u))
     if thermal is not None:
         energy += -float(u @ heating) + thermal_energy(domain, C, thermal, points)
-    log = {**log, **clock.times, "energy": energy, "weak": held is not problem.displacement}
+    log = {**log, **clock.laps, "energy": energy, "weak": held is not problem.displacement}
     quantities = quantities_of(u.reshape(-1, 3), C, thermal)
     reactions = system.reactions(u, held, points)
     return Solution(domain, "elasticity", u.reshape(-1, 3), quantities, log, reactions)
@@ -322,4 +326,4 @@ def modes(
     clock.lap("assemble_s")
     value, vectors, log = modes_of(domain, K if springs is None else K + springs, M, fixed, count)
     clock.lap("solve_s")
-    return value, vectors.reshape(-1, 3, len(value)), {**log, **clock.times}
+    return value, vectors.reshape(-1, 3, len(value)), {**log, **clock.laps}

@@ -53,7 +53,7 @@ def indicators(problem: Heat, domain: Domain, temperature: Array, points: int | 
     Parameters
     ----------
     temperature : (n,) coefficients of the solution.
-    points : Gauss points per direction, by default degree + 1.
+    points : Gauss points per direction, by default `iga.chunk.default_points`.
 
     Returns
     -------

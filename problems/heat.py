@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from iga.assembly import matrix, vector
+from iga.clock import Clock
 from iga.conditions import DependentTracesError, nitsche
 from iga.domain import Domain
 from iga.errors import InputError
@@ -32,9 +33,11 @@ from iga.integrands import Diffusion, Load, Mass
 from problems.data import Datum, Sample, depends_on_time, exclude, freeze, resolve, values
 from problems.material import checked, is_tensor
 from problems.solution import Quantity, Solution, primary
-from problems.system import Clock, System, initial_values, modes_of, prescribed, stepper
+from problems.system import System, initial_values, modes_of, prescribed, stepper
 
 Array = NDArray[np.float64]
+
+SOLVERS = ("auto", "direct", "cg")
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +80,11 @@ def solve(problem: Heat, domain: Domain, solver: str = "auto", points: int | Non
     Raises
     ------
     InputError
-        Unknown boundaries, conditions that exclude each other, a material that is not positive, or a temperature that
-        nothing fixes.
+        Unknown solver or boundaries, conditions that exclude each other, a material that is not positive, or a
+        temperature that nothing fixes.
     """
+    if solver not in SOLVERS:
+        raise InputError(f"heat conduction has no solver {solver!r}; there are: {', '.join(SOLVERS)}")
     clock = Clock()
     problem = resolved(problem, domain)
     check_level(problem, domain)
@@ -98,7 +103,7 @@ def solve(problem: Heat, domain: Domain, solver: str = "auto", points: int | Non
     clock.lap("assemble_s")
     u, log = system.solve(solver)
     clock.lap("solve_s")
-    log = {**log, **clock.times, "energy": 0.5 * float(u @ (K @ u)), "weak": held is not problem.temperature}
+    log = {**log, **clock.laps, "energy": 0.5 * float(u @ (K @ u)), "weak": held is not problem.temperature}
     quantities = quantities_of(u, conductivity)
     return Solution(domain, "heat", u, quantities, log, system.reactions(u, held, points))
 
@@ -255,7 +260,7 @@ def march(
         if keep:
             history.append(u)
     clock.lap("solve_s")
-    log = {**log, **clock.times, "energy": 0.5 * float(u @ (conduction @ u)), "steps": steps, "scheme": scheme}
+    log = {**log, **clock.laps, "energy": 0.5 * float(u @ (conduction @ u)), "steps": steps, "scheme": scheme}
     return Solution(
         domain,
         "transient heat",
@@ -280,4 +285,4 @@ def modes(
     clock.lap("assemble_s")
     values, shapes, log = modes_of(domain, conduction if exchange is None else conduction + exchange, M, fixed, count)
     clock.lap("solve_s")
-    return values, shapes, {**log, **clock.times}
+    return values, shapes, {**log, **clock.laps}

@@ -8,9 +8,8 @@ Unknown ``i*c + a`` is component a of function i.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -148,17 +147,3 @@ def modes_of(
         "residual": float(found.residuals.max()),
     }
     return found.values, found.vectors, log
-
-
-@dataclass(frozen=True)
-class Clock:
-    """Laps of a stop watch by name."""
-
-    times: dict[str, float] = field(default_factory=dict)
-    last: list[float] = field(default_factory=lambda: [time.perf_counter()])
-
-    def lap(self, name: str) -> None:
-        """Add the time since the last lap under a name."""
-        now = time.perf_counter()
-        self.times[name] = self.times.get(name, 0.0) + now - self.last[0]
-        self.last[0] = now

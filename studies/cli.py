@@ -170,11 +170,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     solve.add_argument("--exact", metavar="EXPR", help="exact solution that makes the data")
     solve.add_argument(
-        "--solver", choices=("auto", "direct", "cg", "matrix-free"), help="linear solver (default auto)"
+        "--solver", choices=("auto", "direct", "cg", "matrix-free"),
+        help="linear solver (default auto; matrix-free for elasticity only)",
     )
-    solve.add_argument(
-        "--quadrature", type=int, metavar="N", help="Gauss points per direction (default: degree + 1)"
-    )
+    about = "Gauss points per direction (default: degree + 1, or what the patch test needs)"
+    solve.add_argument("--quadrature", type=int, metavar="N", help=about)
     solve.add_argument("--allow-invalid", action="store_true", help="solve even on a domain with folded elements")
     solve.add_argument("-o", "--output", metavar="OUT.vtu", help="Bezier cells with geometry and fields, for ParaView")
 

@@ -21,10 +21,11 @@ Answer = dict[str, Any]
 def build(options: argparse.Namespace) -> Answer:
     """Turn an input into a saved domain."""
     import geometry
+    from iga.clock import Clock
     from iga.store import save
-    from studies.describe import Stopwatch, describe, with_quality
+    from studies.describe import describe, with_quality
 
-    clock = Stopwatch()
+    clock = Clock()
     output = require_place(options.output)
     settings = dict(setting(text) for text in options.set)
     domain = with_quality(geometry.build(options.input, options.source, **settings))
@@ -34,20 +35,22 @@ def build(options: argparse.Namespace) -> Answer:
 
 def info(options: argparse.Namespace) -> Answer:
     """Describe a saved domain."""
+    from iga.clock import Clock
     from iga.store import load
-    from studies.describe import Stopwatch, describe
+    from studies.describe import describe
 
-    clock = Stopwatch()
+    clock = Clock()
     return describe(load(options.domain), clock)
 
 
 def refine(options: argparse.Namespace) -> Answer:
     """Refine a saved domain."""
     import geometry
+    from iga.clock import Clock
     from iga.store import load, save
-    from studies.describe import Stopwatch, describe, with_quality
+    from studies.describe import describe, with_quality
 
-    clock = Stopwatch()
+    clock = Clock()
     output = require_place(options.output)
     levels = options.levels if options.levels is not None else int(options.elevate == 0)
     if levels < 0 or options.elevate < 0:

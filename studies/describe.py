@@ -7,26 +7,14 @@ from __future__ import annotations
 
 import resource
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 from iga.assembly import volume
 from iga.certificate import quality
+from iga.clock import Clock
 from iga.domain import Domain, counts, max_degree, with_report
 from iga.errors import InputError
-
-
-class Stopwatch:
-    """Seconds since it was made."""
-
-    def __init__(self) -> None:
-        self.began = time.perf_counter()
-
-    @property
-    def seconds(self) -> float:
-        """Seconds so far."""
-        return time.perf_counter() - self.began
 
 
 def peak_mb() -> float:
@@ -70,7 +58,7 @@ def measured_volume(domain: Domain) -> float:
     return volume(domain, (3 * p) // 2 + 1 if domain.space.weights is None else 2 * p + 4)
 
 
-def describe(domain: Domain, clock: Stopwatch) -> dict[str, Any]:
+def describe(domain: Domain, clock: Clock) -> dict[str, Any]:
     """Return the answer of ``iga build`` and ``iga info``."""
     report = dict(domain.report)
     proof = report.pop("quality", None) or quality(domain)

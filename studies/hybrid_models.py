@@ -29,6 +29,7 @@ from typing import Any
 
 import geometry
 from geometry.hybrid.refinement import mesh_of
+from iga.clock import Clock
 from iga.conformity import worst_jump
 from iga.domain import Domain
 from iga.errors import InputError
@@ -36,7 +37,7 @@ from iga.pictures.plot import plot_domain
 from iga.progress import Progress
 from iga.store import load
 from studies.data import CAD
-from studies.describe import Stopwatch, describe, with_quality
+from studies.describe import describe, with_quality
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
@@ -101,7 +102,7 @@ def run(size: Size, progress: Progress) -> Result:
 
 
 def _shape(name: str, shape: str, settings: dict[str, Any]) -> tuple[dict[str, Value], Domain | None]:
-    clock, before = Stopwatch(), time.process_time()
+    clock, before = Clock(), time.process_time()
     try:
         domain = with_quality(geometry.build(shape, "hybrid", **settings))
     except InputError as error:
@@ -115,7 +116,7 @@ def _file(path: Path, name: str, solid: int | None, target: Path) -> tuple[dict[
     """Build a solid by the command line, in a process of its own."""
     words = [sys.executable, "-m", "studies.cli", "build", str(path), "--source", "hybrid", "--json", "-o", str(target)]
     words += ["--set", f"solid={solid}"] if solid is not None else []
-    clock, before = Stopwatch(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    clock, before = Clock(), resource.getrusage(resource.RUSAGE_CHILDREN)
     root = Path(__file__).resolve().parents[1]
     try:
         done = subprocess.run(words, capture_output=True, text=True, cwd=root, timeout=MOST, check=False)

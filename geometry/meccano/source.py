@@ -32,10 +32,8 @@ values, and the solid is grown into that map (`growth`). Refinement is exact.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import Any, cast
 
 import numpy as np
@@ -59,6 +57,7 @@ from geometry.meccano.tmesh import uniform
 from geometry.simplices import reading
 from geometry.simplices.distance import distances
 from geometry.simplices.surface import Surface, genus, volume
+from iga.clock import Clock
 from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
 from iga.progress import QUIET, Progress, progress
@@ -105,20 +104,6 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     return domain_of(surface, settings, Path(path).name, report, clock, progress())
 
 
-@dataclass
-class Clock:
-    """Seconds of each stage."""
-
-    last: float = field(default_factory=perf_counter)
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    def lap(self, stage: str) -> None:
-        """The stage that ends now."""
-        now = perf_counter()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self.last
-        self.last = now
-
-
 def domain_of(
     surface: Surface, settings: Settings | None = None, source: str = "", report: dict[str, Any] | None = None,
     clock: Clock | None = None, shown: Progress = QUIET,
@@ -154,7 +139,7 @@ def domain_of(
     clock.lap("distance")
     report |= {
         "blocks": len(blocks.corners), "cells": solid.space.tmesh.cells, "surface_volume": volume(surface),
-        "levels": np.bincount(solid.space.tmesh.level).tolist(), "rounds": history, "seconds": clock.seconds,
+        "levels": np.bincount(solid.space.tmesh.level).tolist(), "rounds": history, "seconds": clock.laps,
         "ended": history[-1]["ended"], "within_tolerance": bool(report["distance"]["relative"] <= settings.aim),
         "uncertified_cells": solid.uncertified.tolist(),
     }
@@ -176,7 +161,7 @@ def _as_paper(
     between = solid.report["between_spaces"]
     report |= solid.report | {
         "blocks": len(mapping.blocks.corners), "surface_volume": volume(surface), "distance": distance,
-        "between_spaces": {**between, "relative": between["largest"] / surface.diagonal}, "seconds": clock.seconds,
+        "between_spaces": {**between, "relative": between["largest"] / surface.diagonal}, "seconds": clock.laps,
         "within_tolerance": bool(distance["relative"] <= settings.aim),
     }
     return with_report(made, **report)

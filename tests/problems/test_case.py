@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from iga.errors import FormatError, InputError
-from problems import solve_case
+from problems import solve_case, solve_exact
 from problems.case import read
 from tests.problems.shapes import box
 
@@ -170,3 +170,10 @@ def test_damaged_files_are_read_or_refused_in_one_line(data: st.DataObject) -> N
             read(path, CUBE)
         except InputError as error:
             assert "\n" not in str(error)
+
+
+def test_solvers_that_a_problem_lacks_are_refused_before_the_work() -> None:
+    for physics, formula in (("heat", "x"), ("elasticity", "x;y;z")):
+        for solver in ("gauss", *(("matrix-free",) if physics == "heat" else ())):
+            with pytest.raises(InputError, match=f"has no solver '{solver}'; there are: auto, direct, cg"):
+                solve_exact(CUBE, physics, formula, solver)
