@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from geometry.cad.brep import Brep, Face, surface_frame
 from geometry.hybrid.banding import NEAR, Banding, band_elements
 from geometry.hybrid.chart import Chart, lengths_of, to_chart, to_parameters, widths
-from geometry.hybrid.grid import ALONG, Grid, followed
+from geometry.hybrid.grid import ON_LINE, Grid, followed
 from geometry.hybrid.outline import FaceError, Outline, Sides, cut_out, outline_of, regions
 from geometry.hybrid.pieces import Pieces
 from geometry.hybrid.poles import AROUND, PolarCells, corners_of
@@ -262,7 +262,7 @@ def _cells(brep: Brep, number: int, outline: Outline, grid: Grid) -> _Cells:
     face = brep.faces[number]
     m, n = grid.kept.shape
     name = np.full((m + 1, n + 1), -1)
-    reach = [100 * ALONG * float(np.ptp(k)) for k in face.surface.knots]
+    reach = [ON_LINE * float(np.ptp(k)) for k in face.surface.knots]
     place, on = [], np.ones(len(outline.uv), dtype=bool)
     for d in range(2):
         at = np.abs(outline.uv[:, d, None] - grid.lines[d]).argmin(axis=1)

@@ -35,6 +35,8 @@ Mask = NDArray[np.bool_]
 
 ALONG = 1e-7
 """Extent (of the parameter range) below which a curve in the plane follows a parameter line."""
+ON_LINE = 100.0 * ALONG
+"""Distance (share of the parameter range) within which a vertex lies on a line."""
 CLOSE = 0.35
 """Lines nearer to each other than this share of the wanted size are one."""
 MARGIN = 0.4
@@ -210,7 +212,8 @@ def agree(
                     d = followed(c, brep.faces[f].surface)
                     if d < 0 or brep.edges[c.edge].degenerate:
                         continue
-                    t = _meeting(c, 1 - d, made[1 - d]).tolist()
+                    reach = ON_LINE * float(np.ptp(brep.faces[f].surface.knots[1 - d]))
+                    t = _meeting(c, 1 - d, made[1 - d], reach).tolist()
                     if c.edge in settled:
                         old = ends[c.edge]
                         apart = CLOSE * float(np.diff(old).min())
@@ -237,11 +240,14 @@ def _in_order(brep: Brep, faces: list[int]) -> list[int]:
     return order
 
 
-def _meeting(c: Coedge, d: int, lines: Array) -> Array:
-    """Parameters in (0, 1) at which the coordinate d, monotone along a coedge, takes the values of lines."""
+def _meeting(c: Coedge, d: int, lines: Array, reach: float) -> Array:
+    """Parameters in (0, 1) at which the coordinate d, monotone along a coedge, takes the values of lines, but of those
+    that its ends are on, to within a reach.
+    """
     ends = curve_points(c.curve, np.array([0.0, 1.0]))[:, d]
     low, high = min(ends), max(ends)
-    value = lines[(lines > low + 1e-7 * (high - low)) & (lines < high - 1e-7 * (high - low))]
+    room = min(reach, CLOSE * (high - low))
+    value = lines[(lines > low + room) & (lines < high - room)]
     a, b = np.zeros(len(value)), np.ones(len(value))
     rising = ends[1] > ends[0]
     for _ in range(52):
