@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -212,3 +213,21 @@ def test_rational_quadrilaterals_are_near_by_proof() -> None:
         bounds.append(float(bound.max()))
     assert bounds[0] / bounds[1] > 40
     assert bounds[2] < 1e-6
+
+
+def test_a_line_through_the_end_of_an_edge_does_not_cut_it() -> None:
+    """The end of a curve lies 2e-6 of the parameter range beside the line that the next edge of the loop follows."""
+    brep = solid("curved_box")
+    face = brep.faces[0]
+    c = face.loops[0][0]
+    d = 1 - followed(c, face.surface)
+    control = c.curve.control.copy()
+    beyond = control[0] - control[-1]
+    control[0] += 2e-6 * np.ptp(face.surface.knots[d]) * beyond / np.linalg.norm(beyond)
+    moved = replace(face, loops=((replace(c, curve=replace(c.curve, control=control)), *face.loops[0][1:]),))
+    brep = replace(brep, faces=(moved, *brep.faces[1:]))
+    sizing, wanted = size_edges(brep, 0.2)
+    ends = divide_edges(brep, sizing, wanted, least_pieces(brep), 1e-5)
+    _, ends = agree(brep, ends, sizing, dict.fromkeys(range(6), 0.2 * brep.diagonal))
+    assert len(ends[c.edge]) > 2
+    assert min(np.diff(t).min() for t in ends.values()) > 0.02
