@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MAX_DEGREE = 30
+"""A degree above this is taken for damage or a typing error."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 LEAF = 4
+"""Boxes in a leaf."""
 
 
 class Tree(NamedTuple):

@@ -43,7 +43,9 @@ from iga.parallel import ranges, run, threads
 from iga.scaled_jacobian import scaled_jacobian
 
 SLACK = 4.0
+"""Units of the last place of the largest coordinate by which true control points may differ from the stored ones."""
 _CHUNK_BYTES = 32 * 2**20
+"""Coefficients worked on at a time: what memory allows, however large the domain."""
 
 
 @dataclass(frozen=True, eq=False)

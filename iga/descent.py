@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _ARMIJO = 1e-4
+"""Share of the slope by which a step must lower the energy (Nocedal and Wright 2006, Section 3.1)."""
 _HALVINGS = 30
+"""Trials of a line search: steps of 1e-9 of the first are lost in rounding."""
 
 
 @dataclass(frozen=True, eq=False)

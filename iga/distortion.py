@@ -33,6 +33,7 @@ CHUNK = 64
 """Elements worked on at a time: their derivatives fit the cache."""
 
 _NEAR_APEX = 0.98
+"""Height of the topmost sample points of a pyramid; at the apex itself its map has no Jacobian matrix."""
 
 # Columns are the derivatives of the ideal cell of unit edges.
 _IDEAL = {

@@ -27,13 +27,16 @@ from iga.errors import InputError
 from iga.kernels.approach import approach
 from iga.kernels.boxes import LEAF, query
 from iga.kernels.inversion import FOUND, OPEN, invert
+from iga.located import Located
 from iga.parallel import ranges, run
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _POINTS = 50_000
+"""Points looked up at a time."""
 _CHUNK_BYTES = 32 * 2**20
+"""Bytes of control nets and extraction operators that are held at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,21 +167,13 @@ def places(domain: Domain, block: Index, element: Index, xi: Array) -> Array:
     InputError : there is no such element.
     """
     xi = np.asarray(xi, dtype=float)
-    result = np.empty((len(xi), 3))
     sizes = np.array([b.elements for b in domain.space.blocks])
     known = (block >= 0) & (block < len(sizes))
     known[known] = (element[known] >= 0) & (element[known] < sizes[block[known]])
     if not known.all():
         p = int(np.argmin(known))
         raise InputError(f"point {p}: there is no element {element[p]} of block {block[p]}")
-    for number in np.unique(block).tolist():
-        own = np.flatnonzero(block == number)
-        for rows in np.array_split(own, -(-len(own) // 4096)):
-            net = control_nets(domain, number, element[rows])
-            values = np.asarray(domain.space.blocks[number].basis.tabulate(xi[rows], 0)[0])
-            x = np.einsum("pb,pbc->pc", values, net)
-            result[rows] = x[:, :3] / x[:, 3:]
-    return result
+    return Located(domain, block, element, xi).x
 
 
 def _inside(domain: Domain, boxes: Tree, points: Array, rows: Index, reach: float, found: Location) -> None:

@@ -17,6 +17,7 @@ from iga.quadrature import gauss
 Array = NDArray[np.float64]
 
 SIZE = 512
+"""Elements at a time."""
 
 # Ideal cells: the columns are the edge vectors of the cell whose scaled Jacobian is one.
 _ROOT = {"tetrahedron": np.sqrt(2.0), "wedge": 2.0 / np.sqrt(3.0), "hexahedron": 1.0, "pyramid": 1.0}

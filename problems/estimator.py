@@ -32,13 +32,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from iga.bernstein import Bernstein, functions_at
-from iga.block import bezier_coefficients, to_bezier
+from iga.block import to_bezier
 from iga.cells import TRIANGLE
 from iga.chunk import SIZE, Chunk, chunks, rule_for
 from iga.domain import Domain, all_facets, facets_of
 from iga.errors import InputError
 from iga.field import Field
 from iga.locate import locate, tree
+from iga.located import Located
 from problems.data import freeze, values
 from problems.formula import Formula
 from problems.heat import Heat, resolved
@@ -266,8 +267,8 @@ def _hanging(
             inside = there.element >= 0
             slope = chunk.gradient(temperature)
             jump = np.zeros(slope.shape).reshape(-1, 3)
-            other = _gradients(domain, temperature, there.block[inside], there.element[inside], there.xi[inside])
-            jump[inside] = slope.reshape(-1, 3)[inside] - other
+            other = Located(domain, there.block[inside], there.element[inside], there.xi[inside])
+            jump[inside] = slope.reshape(-1, 3)[inside] - other.gradient(temperature)
             value = _conductivity(k, chunk)
             step = jump.reshape(slope.shape)
             flux = value[..., None] * step if value.ndim == 2 else (value @ step[..., None])[..., 0]
@@ -277,24 +278,6 @@ def _hanging(
 
 
 _BEYOND = 1e-6  # of a face's size: across it for sure, and no gradient changes on the way
-
-
-def _gradients(domain: Domain, temperature: Array, block: Index, element: Index, xi: Array) -> Array:
-    """Gradients (p, 3) of the temperature at reference points xi (p, 3) of elements (p,) of blocks (p,)."""
-    weights = domain.space.weights
-    fields = np.column_stack([domain.points, temperature, np.ones(len(temperature))])
-    fields = fields if weights is None else fields * weights[:, None]
-    result = np.empty((len(xi), 3))
-    for number in np.unique(block).tolist():
-        own = np.flatnonzero(block == number)
-        for rows in np.array_split(own, -(-len(own) // 4096)):
-            net = bezier_coefficients(domain.space.blocks[number], fields, element[rows])
-            N, dN = domain.space.blocks[number].basis.tabulate(xi[rows], 1)
-            A, D = np.einsum("pb,pbc->pc", N, net), np.einsum("pbi,pbc->pci", dN, net)
-            W, dW = A[:, 4:], D[:, 4:]
-            D = (D[:, :4] - (A[:, :4] / W)[..., None] * dW) / W[..., None]
-            result[rows] = np.linalg.solve(D[:, :3].swapaxes(1, 2), D[:, 3, :, None])[..., 0]
-    return result
 
 
 def _faces(domain: Domain) -> tuple[Index, Array]:

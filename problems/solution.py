@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from iga.assembly import matrix, vector
-from iga.block import bezier_coefficients
 from iga.chunk import chunks
 from iga.domain import Domain, max_degree
 from iga.errors import InputError
 from iga.integrands import Load, Mass
 from iga.linear.solvers import solve as solve_linear
 from iga.locate import locate
+from iga.located import Located
 from iga.norms import Errors
 from iga.norms import errors as errors_of
 from problems.data import Sample
@@ -218,50 +218,6 @@ class Solution:
 
 
 # --- located points --------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Located:
-    """Scattered points as a sample: point k is at ``xi[k]`` of element ``element[k]`` of block ``block[k]``."""
-
-    domain: Domain
-    block: NDArray[np.int64]
-    element: NDArray[np.int64]
-    xi: Array
-
-    @property
-    def x(self) -> Array:
-        """Physical points (k, 3)."""
-        return self.at(self.domain.points)
-
-    def at(self, coefficients: Array) -> Array:
-        """Values (k,) or (k, c)."""
-        value = self._expand(coefficients.reshape(len(coefficients), -1))[0]
-        return value.reshape(len(self.xi), *coefficients.shape[1:])
-
-    def gradient(self, coefficients: Array) -> Array:
-        """Physical gradients (k, 3) or (k, c, 3)."""
-        J = self._expand(self.domain.points)[1]
-        slopes = self._expand(coefficients.reshape(len(coefficients), -1))[1]
-        return (slopes @ np.linalg.inv(J)).reshape(len(self.xi), *coefficients.shape[1:], 3)
-
-    def _expand(self, coefficients: Array) -> tuple[Array, Array]:
-        """Values (k, c) and reference gradients (k, c, d), by the quotient rule where the space has weights."""
-        space = self.domain.space
-        weights = np.ones((space.n, 1)) if space.weights is None else space.weights[:, None]
-        lifted = np.column_stack([coefficients * weights, weights])
-        value = np.empty((len(self.xi), lifted.shape[1]))
-        slope = np.empty((len(self.xi), lifted.shape[1], self.xi.shape[1]))
-        for number, block in enumerate(space.blocks):
-            here = np.flatnonzero(self.block == number)
-            if len(here):
-                B, dB = block.basis.tabulate(self.xi[here], 1)
-                local = bezier_coefficients(block, lifted, self.element[here])
-                value[here] = np.einsum("kb,kbc->kc", B, local)
-                slope[here] = np.einsum("kbd,kbc->kcd", dB, local)
-        W, dW = value[:, -1:], slope[:, -1:]
-        value = value[:, :-1] / W
-        return value, (slope[:, :-1] - value[..., None] * dW) / W[..., None]
 
 
 def located(domain: Domain, points: Array) -> Located:

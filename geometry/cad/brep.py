@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MAX_PIECES = 4096
+"""Most pieces of one curve: one that wants more is not smooth."""
 OFF = 5e-4
 """Largest distance, relative to the diagonal, of an edge from its faces."""
 SHORT = 1.0 / 300.0

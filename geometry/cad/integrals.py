@@ -25,7 +25,9 @@ from geometry.cad.brep import Brep, Face, curve_points, curve_tangents, surface_
 Array = NDArray[np.float64]
 
 POINTS = 8
+"""Gauss points on an interval."""
 DEEPEST = 8
+"""Most halvings of an interval."""
 ENOUGH = 1e-9
 """Change of an interval's integral, relative to the face's largest, below which it is halved no more."""
 _X, _W = np.polynomial.legendre.leggauss(POINTS)

@@ -58,7 +58,9 @@ Colours = NDArray[np.uint64]
 CHAIN = 3
 """Levels K of subdivision whose operators are taken as they are before the contraction is used."""
 _TERMS = 9
+"""Most levels on which the distance is bounded step by step before the contraction bounds the rest."""
 _MEASURED = 120_000
+"""Cells up to which `hull_distance` measures as well as it bounds."""
 _LOOK = (25_000, 500)
 """Closures up to which hulls are taken one and two levels deeper."""
 _BATCH = 16

@@ -31,6 +31,7 @@ Index = NDArray[np.int64]
 STEPS = 3
 """Levels taken one by one before powers are used: then a cell has one irregular edge, or one irregular vertex."""
 _BATCH = 256
+"""Cells at a time."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,6 +42,7 @@ Index = NDArray[np.int64]
 Parameter = float | Array
 
 TOLERANCE = 1e-14
+"""Interpolation error, relative to the size of the mesh: rounding."""
 
 
 @dataclass(frozen=True, eq=False)

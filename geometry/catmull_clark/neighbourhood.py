@@ -31,7 +31,9 @@ Index = NDArray[np.int64]
 Colours = NDArray[np.uint64]
 
 _CHUNK = 2048
+"""Neighbourhoods at a time."""
 _ROUNDS = 24
+"""Rounds of colour refinement after which vertices that still look alike are refused."""
 
 
 def _rotations() -> Index:

@@ -51,6 +51,7 @@ ALONG = 0.5
 FEW = 50
 """Invalid cells up to which interior points are optimised as they are; more are first made to follow the boundary."""
 _RETURNS = 3
+"""How often points go back towards where they were."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +194,7 @@ def _unit(vectors: Array) -> Array:
 _FACE = bernstein(QUADRILATERAL, 3)
 _GRID = np.array(list(np.ndindex(9, 9))) / 8.0
 _NEAREST = 8
+"""Nearest samples of the surface from which the foot of a point is searched."""
 
 
 def surface_distance(topology: Topology, control: Array, points: Array) -> Array:

@@ -65,6 +65,7 @@ name = NAME
 PIECES = 30_000
 """Pieces up to which ``depth="auto"`` subdivides irregular cells."""
 _GROWTH = (1, 8, 20)
+"""Pieces that an irregular cell becomes, about, at depth 0, 1 and 2."""
 
 
 def reads(path: str | Path) -> bool:

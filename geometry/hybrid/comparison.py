@@ -27,6 +27,7 @@ from iga.block import bezier_coefficients
 from iga.cells import Cell
 from iga.domain import Domain
 from iga.locate import Location, Tree, locate, tree
+from iga.located import Located
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -123,7 +124,7 @@ def _in_cells(
         net = bezier_coefficients(block, fine.points, chosen)
         x = np.asarray(values @ net)
         where = locate(coarse, x.reshape(-1, 3), nearest=True, boxes=boxes)
-        wanted = _evaluated(coarse, where.block, where.element, where.xi, field).reshape(len(chosen), -1)
+        wanted = Located(coarse, where.block, where.element, where.xi).at(field).reshape(len(chosen), -1)
         off = wanted - wanted @ np.linalg.pinv(values).T @ values.T
         nested = max(nested, float(np.abs(off).max()))
         residual, share = _affine_fit([(own, s) for own in x], where)
@@ -136,14 +137,3 @@ def _in_cells(
 def _affine_residual(s: Array, xi: Array) -> float:
     A = np.column_stack([np.ones(len(s)), s])
     return float(np.abs(A @ np.linalg.lstsq(A, xi, rcond=None)[0] - xi).max())
-
-
-def _evaluated(domain: Domain, block: Index, element: Index, xi: Array, field: Array) -> Array:
-    """Values (q,) of a function at located points."""
-    result = np.zeros(len(block))
-    for k, own in enumerate(domain.space.blocks):
-        mine = np.flatnonzero(block == k)
-        if len(mine):
-            net = bezier_coefficients(own, field, element[mine])[..., 0]
-            result[mine] = np.einsum("qb,qb->q", own.basis.tabulate(xi[mine], 0)[0], net)
-    return result

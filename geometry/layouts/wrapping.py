@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 STEPS = 8
-ROUNDS = 80
+ROUNDS = 80  # of smoothing; from four fifths of them on, points lie on the surface
 FACING = 0.5  # distance, in voxels, that a turn of the normal by one radian is worth
 
 

@@ -25,6 +25,7 @@ from iga.errors import FormatError, InputError
 from iga.exchange.files import write_text
 
 MAX_DEPTH = 32
+"""Levels of nested tags: G+Smo writes a handful, and a parser's stack is finite."""
 
 
 def read(path: str | Path) -> tuple[list[Patch], list[Name]]:

@@ -16,6 +16,7 @@ from iga.errors import FormatError
 Array = NDArray[np.float64]
 
 MAX_BYTES = 1 << 29
+"""Size of a file that is still read."""
 
 
 def read_text(path: str | Path) -> str:

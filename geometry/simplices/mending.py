@@ -24,10 +24,12 @@ from iga.errors import InputError
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-#: Radius of the largest hole that is filled, and distance of points that are merged, in diagonals; most vertices there.
 LARGEST_HOLE = 0.25
+"""Radius of the largest hole that is filled, in diagonals of the surface."""
 SAME = 1e-9
+"""Points closer than this part of the diagonal are one."""
 MOST_VERTICES = 1000
+"""Vertices around a hole up to which it is filled."""
 #: Part of the surface's area that may be filled anew because it crossed itself, and how often that is tried.
 MOST_CROSSING = 0.05
 ROUNDS = 4

@@ -31,8 +31,11 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 EPSILON = 1e-3
+"""Regularisation of the energy of inverted simplices, relative to ideal ones."""
 EPSILONS = (1e-3, 1e-1, 1e-2)
+"""Those that take turns in `relocate`."""
 PATIENCE = 8
+"""Sweeps without fewer inverted simplices after which the next one's turn comes."""
 
 
 def ideal_gradients(ideal: Array) -> Array:

@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _CHUNK = 20_000
+"""Elements at a time."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,6 +47,7 @@ Index = NDArray[np.int64]
 BEZIER_TYPE = {"hexahedron": 79, "tetrahedron": 78, "wedge": 80, "pyramid": 79}
 LINEAR_TYPE = {"hexahedron": 12, "tetrahedron": 10, "wedge": 13, "pyramid": 12}
 PULL = 1e-3
+"""How far towards the middle of a cell values are taken: derivatives jump at faces and fail at an apex."""
 _RESERVED = ("RationalWeights", "HigherOrderDegrees", "block", "element")
 
 

@@ -13,6 +13,7 @@ from numba import njit
 from iga.kernels.options import PLAIN
 
 LEAF = 4
+"""Elements in a leaf of the tree."""
 
 
 @njit(**PLAIN)

@@ -27,6 +27,7 @@ STRICT: dict[str, Any] = {**OPTIONS, "fastmath": {"contract", "nsz"}}
 # Number of lanes: wide enough that loops over lanes are vectorised, small enough that work arrays stay in cache.
 L = 32
 TILE = 8
+"""Rows of each factor in a tile of a product of minors."""
 
 
 class Plan(NamedTuple):

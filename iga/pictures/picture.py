@@ -27,6 +27,7 @@ STYLE: dict[str, Any] = {
     "lines.linewidth": 1.3, "lines.markersize": 5.5, "grid.color": "#dddddd", "grid.linewidth": 0.5,
 }  # fmt: skip
 DPI = 220
+"""Dots of a picture per inch of the frame that is drawn around it."""
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ COLOURS = (
 )  # fmt: skip
 EDGE = "#2b2b2b"
 LEGEND = 14
+"""Most names in a legend."""
 #: Axes that point up in a picture, with the direction from the solid to the eye that goes with each.
 VIEWS = {"x": (0.85, 1.0, -1.5), "y": (1.0, 0.85, 1.5), "z": (1.0, -1.5, 0.85)}
 

@@ -7,11 +7,11 @@ import pytest
 
 from geometry.nurbs.source import build
 from iga.errors import InputError
+from iga.located import Located
 from problems import heat, manufactured
 from problems.formula import parse
 from problems.heat import Heat
 from problems.manufactured import solve_exact
-from problems.solution import Located
 from tests.problems.shapes import bent_box, box
 
 
