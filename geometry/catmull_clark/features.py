@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.catmull_clark.topology import CORNER, CREASE, FACES, SMOOTH, Topology, with_kinds
+from geometry.catmull_clark.topology import CORNER, CREASE, FACES, INTERIOR, SMOOTH, Topology, with_kinds
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -77,8 +77,9 @@ def with_features(
         pairs, given = np.asarray(features[0], dtype=np.int64), np.asarray(features[1], dtype=np.int64)
         crease[_edge_numbers(topology, pairs.reshape(-1, 2))] = True
         bad = given[(given < 0) | (given >= topology.vertices)]
-        if len(bad) or (topology.vertex_kind[given] == 3).any():
-            raise InputError(f"corner vertex {(bad if len(bad) else given)[0]} is not on the boundary")
+        bad = bad if len(bad) else given[topology.vertex_kind[given] == INTERIOR]
+        if len(bad):
+            raise InputError(f"corner vertex {bad[0]} is not on the boundary")
     elif features != "none":
         angle = _angle(features)
         edges, turn = boundary_angles(topology, points)
@@ -130,7 +131,7 @@ def _edge_numbers(topology: Topology, pairs: Index) -> Index:
     keys = topology.edges[:, 0] * topology.vertices + topology.edges[:, 1]
     wanted = ends[:, 0] * topology.vertices + ends[:, 1]
     at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    bad = np.flatnonzero((keys[at] != wanted) | (topology.edge_kind[at] == 3))
+    bad = np.flatnonzero((keys[at] != wanted) | (topology.edge_kind[at] == INTERIOR))
     if len(bad):
         a, b = pairs[bad[0]]
         raise InputError(f"crease: there is no boundary edge between vertices {a} and {b}")

@@ -1,5 +1,8 @@
 r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
 
+Input is a mesh of hexahedra in a format of meshio, or the name of a shape: "box", "ball", "round_ball", "tetrahedron",
+"ring", "fan_3", "fan_5", "fan_6" or "fan_8" (cells around one edge).
+
     interpolate   "auto" (default), "pia", "conjugate", "direct", "pushback", "butterfly" or "none"
     features      "auto" (default), "none", an angle in degrees, or a text file with the creases (two vertex numbers on
                   a line) and corners (one); vertices are counted as the cells use them, from 0
@@ -10,9 +13,10 @@ r"""The geometry source "catmull_clark": hexahedral meshes as smooth volumes.
     bound         sharpen the proved bound of how far the closures are from the limit, see `closure` (default false;
                   takes seconds to minutes)
     pillow        put one new layer of cells under the whole boundary first (default false), see `pillowing`
-    lambda, mu, gamma    shape parameters of push-back, in (0, 1): a number, the name of an attribute whose mean over
-                  the vertices of each edge, face, cell is taken, or (from Python) one number for each
-    relaxation    factor of PIA, in (0, 2)
+    lambda, mu, gamma    shape parameters of push-back, in (0, 1) (defaults 1/4, 1/8, 1/16): a number, the name of an
+                  attribute whose mean over the vertices of each edge, face, cell is taken, or (from Python) one number
+                  for each
+    relaxation    factor of PIA, in (0, 2) (default 1)
     attributes    names of point data to carry, separated by commas; by default all
 
 "auto" is PIA where the result is valid. Interpolation overshoots on coarse meshes and can fold cells of a mesh that is

@@ -1,5 +1,7 @@
 r"""The geometry source "meccano": closed surface triangulations as spline volumes.
 
+Input is an STL, OBJ, OFF or PLY file, or the name of a shape: "ball", "star" or "torus".
+
     meccano     "auto" (default: pillowed, of a cube for genus 0 if the surface suits it, else of a polycube),
                 "pillowed" (of a cube), "polycube" (pillowed, also for genus 0), "cube" (the paper's; its solids fold
                 along the cube's edges, see `paper`)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,6 +22,15 @@ def test_built_in_sources_come_first() -> None:
     for name, source in known.items():
         assert source.name == name
         assert not source.reads("no such file")
+
+
+@pytest.mark.parametrize("name", ["nurbs", "tets", "catmull_clark", "meccano"])
+def test_shapes_are_named_where_the_command_line_explains_a_source(name: str) -> None:
+    """`iga sources NAME` prints the module's docstring."""
+    module = importlib.import_module(f"geometry.{name}.source")
+    assert all(shape in (module.__doc__ or "") for shape in module.SHAPES)
+    with pytest.raises(InputError, match=next(iter(module.SHAPES))):
+        module.build("no such shape")
 
 
 def test_source_is_guessed_from_the_content(tmp_path: Path) -> None:
