@@ -145,7 +145,7 @@ def face_lines(
     poles = poles_of(brep, number)
     if poles:
         d = poles[0].direction
-        kept = _apart([*sorted(firm[d]), *sorted(given[d])], same[d])
+        kept = _apart([*sorted(firm[d]), *sorted(given[d]), *box[:, d].tolist()], same[d])
         width = speeds[1 - d].mean(axis=1 - d) * float(np.diff(made[1 - d]).max())
         first = float(size_at(sizing, brep.vertices[[pole.vertex for pole in poles]]).min())
         made[d] = rows(kept, poles, speeds[d].mean(axis=1 - d), width, (u, v)[d], first, target)

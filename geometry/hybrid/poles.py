@@ -42,6 +42,8 @@ STRETCH = 4.0
 """Height of a row of cells over the distance of the meridians there, beyond the first row."""
 AROUND = ((0, 0), (1, 0), (1, 1), (0, 1))
 """Corners of a cell, counter-clockwise."""
+GROWTH = 0.7
+"""Most height of such a row over its distance from the pole."""
 WHOLE = 0.7
 """Share of the first knot interval from which on it is the first row."""
 TINY = 1e-9
@@ -130,7 +132,8 @@ def rows(
         t = np.append(t, p + (kept[0 if pole.upper else -1] - p) * np.geomspace(1e-6, 1.0, 241))
     t = np.unique(np.clip(np.append(t, lines), kept[0], kept[-1]))
     speeds = np.interp(t, places, speed)
-    height = STRETCH * np.interp(t, places, width)
+    away = np.min([np.abs(t - kept[-1 if pole.upper else 0]) for pole in poles], axis=0) * speeds
+    height = np.minimum(STRETCH * np.interp(t, places, width), GROWTH * away)
     rate = speeds / np.minimum(height + 1e-9 * most, most)
     measure = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
     made = [np.array(kept[:1])]
