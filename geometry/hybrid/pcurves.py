@@ -57,7 +57,9 @@ def fitted_curves(brep: Brep, tolerance: float) -> Brep:
 def _with_edge(brep: Brep, face: Face, c: Coedge) -> Coedge:
     """The coedge over the parameter of its edge."""
     curve = brep.edges[c.edge].curve
-    t = np.linspace(0.0, 1.0, SAMPLES)
+    breaks = np.unique(np.concatenate([curve.knots, c.curve.knots]))
+    # Where they turn sharply curves have many knots, close together.
+    t = np.unique(np.concatenate([np.linspace(0.0, 1.0, SAMPLES), breaks, 0.5 * (breaks[1:] + breaks[:-1])]))
     x = curve_points(curve, t)
     uv = curve_points(c.curve, t)
     s, du, dv = surface_frame(face.surface, uv)
@@ -77,7 +79,6 @@ def _with_edge(brep: Brep, face: Face, c: Coedge) -> Coedge:
             found[:, d] = start[:, d]
         return found * scale
 
-    breaks = np.unique(np.concatenate([curve.knots, c.curve.knots]))
     try:
         made = fit_curve(places, FIT * brep.diagonal, breaks=breaks, enough=ENOUGH * brep.diagonal)
     except InputError:  # no curve: stay with what the file says

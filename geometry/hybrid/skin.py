@@ -133,8 +133,8 @@ def build_skin(
     refuse_cusps(brep, where)
     off = edge_distances(brep)
     brep = fitted_curves(met(brep, off), tolerance)
-    sizes = size_edges(brep, size)
-    solid = splined(brep, tolerance, [own.min(initial=np.inf) for own in sizes[1]]) if splines else None
+    sizes = size_edges(brep, size)  # of the CAD surfaces: splines in their place curl a little
+    solid = splined(brep, tolerance) if splines else None
     brep = brep if solid is None else solid.brep
     task, plan = _begun(brep, solid, sizes, size * brep.diagonal, tolerance, quads or splines)
     best: tuple[float, Skin, Sealed | None] | None = None

@@ -9,7 +9,6 @@ Axis letters: f face, e element, c component.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,10 +28,6 @@ Mask = NDArray[np.bool_]
 
 SHARE = 0.5
 """Share of the tolerance that replacing a rational surface by a polynomial spline may use."""
-SMALL, LEAST = 0.03, 1.0 / 256.0
-"""Share of the smallest elements at a face's edges within which its new surface stays, because the edges stay where
-they are, and the least share of what the tolerance leaves that this may ask for.
-"""
 
 NARROW = 0.02
 """Share of the distance between lines within which a line makes no knot beside another."""
@@ -56,24 +51,19 @@ class Splined:
     without: dict[int, str]
 
 
-def splined(brep: Brep, tolerance: float, sizes: Sequence[float] = ()) -> Splined:
+def splined(brep: Brep, tolerance: float) -> Splined:
     """Replace surfaces by bicubic polynomial splines.
 
     Parameters
     ----------
     tolerance : of the skin, relative to the diagonal of the solid.
-    sizes : (e,) of the smallest element at each edge, if known.
     """
     faces, apart, proved, without = [], np.zeros(len(brep.faces)), np.ones(len(brep.faces), dtype=bool), {}
     for f, face in enumerate(brep.faces):
         extent = float(np.linalg.norm(np.ptp(face.surface.control.reshape(-1, 3), axis=0)))
         exact = face.surface.weights is None and max(face.surface.degree) <= 3
-        room = SHARE * tolerance * brep.diagonal
-        if len(sizes):
-            finest = min(sizes[c.edge] for loop in face.loops for c in loop)
-            room = min(room, max(SMALL * finest, LEAST * room))
         try:
-            surface = polynomial_surface(face.surface, room / extent)
+            surface = polynomial_surface(face.surface, SHARE * tolerance * brep.diagonal / extent)
         except InputError as error:
             without[f] = str(error)
             surface = face.surface

@@ -224,18 +224,6 @@ def test_a_tetrapod_needs_few_elements() -> None:
     assert skin.report["hb_rep"]["unity_error"] < 1e-12
 
 
-def test_replaced_surfaces_stay_near_small_elements() -> None:
-    brep = shapes.bracket()
-    loose = splined(brep, 1e-3)
-    sizes = [1e-3 * brep.diagonal] * len(brep.edges)
-    tight = splined(brep, 1e-3, sizes)
-    assert loose.apart.max() > 1e-4 * brep.diagonal
-    assert 0.0 < tight.apart.max() < 4e-5 * brep.diagonal
-    # However small the elements, there are not too many knots.
-    most = max(len(face.surface.knots[0]) for face in splined(brep, 1e-3, [0.0] * len(sizes)).brep.faces)
-    assert most < 5 * max(len(face.surface.knots[0]) for face in loose.brep.faces)
-
-
 def test_weights_of_a_cylinder_are_replaced_within_a_proved_bound() -> None:
     """The bound against distances at random parameters."""
     brep = shapes.bracket()
