@@ -18,7 +18,7 @@ from geometry.hybrid.curves import fit_cubics
 from geometry.hybrid.facemesh import FaceMesh, interior_pairs
 from geometry.hybrid.fitting import BICUBIC, CUBIC, INNER, INNER_QUAD, bezier_nets, fit_quads, fit_triangles
 from geometry.hybrid.pieces import Pieces
-from geometry.hybrid.poles import corners_of
+from geometry.hybrid.poles import AROUND, corners_of
 from iga.block import Block
 from iga.domain import Space
 
@@ -31,7 +31,6 @@ SIDES = np.array([_GRID[:, 0], _GRID[3], _GRID[::-1, 3], _GRID[0, ::-1]])
 """Bicubic functions on the sides from corner to corner around: (low, low), (high, low), (high, high), (low, high)."""
 TURNED = _GRID.T.ravel()
 """Functions with the two directions exchanged, for faces whose normal points into the solid."""
-_CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
 Coefficients = dict[tuple[int, int], Array]
 """The two inner control points (2, 3) of each side, from its lower vertex."""
 
@@ -158,23 +157,15 @@ def _vertices(
     return x, sides, curves
 
 
-def _quad_sides(
-    face: Face, made: FaceMesh, net: Array | None, x: Array, sides: Coefficients
-) -> None:
-    """Sides of quadrilaterals that are on no edge: Bezier points of the surface, or cubics fitted to it."""
+def _quad_sides(face: Face, made: FaceMesh, net: Array | None, x: Array, sides: Coefficients) -> None:
+    """Sides of quadrilaterals that are on no edge."""
     if not len(made.quads):
         return
+    box = np.stack([made.low, made.high], axis=1)
     for k in range(4):
-        start, end = made.vertices[made.quads[:, k]], made.vertices[made.quads[:, (k + 1) % 4]]
-        if net is None:
-            box = np.stack([made.low, made.high], axis=1)
-            a, b = (box[:, [i, j], [0, 1]] for i, j in (_CORNERS[k], _CORNERS[(k + 1) % 4]))
-            line = (face, None, a, b)
-            control = _on_lines(line, x[start], x[end])
-        else:
-            control = net[:, SIDES[k]]
-        for a, b, own in zip(start.tolist(), end.tolist(), control):
-            sides.setdefault((min(a, b), max(a, b)), own[1:3] if a < b else own[2:0:-1])
+        plane = [box[:, own, [0, 1]] for own in (AROUND[k], AROUND[(k + 1) % 4])]
+        pair = made.vertices[made.quads[:, [k, (k + 1) % 4]]]
+        _line_sides(face, plane, pair, None if net is None else net[:, SIDES[k]], x, sides)
 
 
 def _polar_sides(face: Face, made: FaceMesh, x: Array, sides: Coefficients) -> None:
@@ -184,15 +175,23 @@ def _polar_sides(face: Face, made: FaceMesh, x: Array, sides: Coefficients) -> N
         return
     net = bezier_nets(face, cells.low, cells.high)
     corner = corners_of(cells)
-    ring = cells.corners[:, [0, 0, 1, 2]]  # from the corner of the cell behind `after`
+    ring = made.vertices[cells.corners[:, [0, 0, 1, 2]]]  # from the corner of the cell behind `after`
     for k in (1, 2, 3):
-        start, end = made.vertices[ring[:, k]], made.vertices[ring[:, (k + 1) % 4]]
-        if net is None:
-            control = _on_lines((face, None, corner[:, k], corner[:, (k + 1) % 4]), x[start], x[end])
-        else:
-            control = np.take_along_axis(net, SIDES[(cells.side + k) % 4][..., None], axis=1)
-        for a, b, own in zip(start.tolist(), end.tolist(), control):
-            sides.setdefault((min(a, b), max(a, b)), own[1:3] if a < b else own[2:0:-1])
+        ends = [k, (k + 1) % 4]
+        control = None if net is None else np.take_along_axis(net, SIDES[(cells.side + k) % 4][..., None], axis=1)
+        _line_sides(face, [corner[:, end] for end in ends], ring[:, ends], control, x, sides)
+
+
+def _line_sides(
+    face: Face, plane: list[Array], pair: Index, control: Array | None, x: Array, sides: Coefficients
+) -> None:
+    """Sides along parameter lines between ``plane`` points, with vertices ``pair`` (k, 2), where there are none yet:
+    Bezier points (k, 4, 3) of the surface, or cubics fitted to it.
+    """
+    if control is None:
+        control = _on_lines((face, None, plane[0], plane[1]), x[pair[:, 0]], x[pair[:, 1]])
+    for (a, b), own in zip(pair.tolist(), control):
+        sides.setdefault((min(a, b), max(a, b)), own[1:3] if a < b else own[2:0:-1])
 
 
 def _triangle_sides(face: Face, made: FaceMesh, x: Array, sides: Coefficients) -> None:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.hybrid.band import reach_of, right_angles, tangent
-from geometry.hybrid.chart import NARROWS, Chart, lengths_of, to_chart, widths
+from geometry.hybrid.chart import Chart, lengths_of, narrows, to_chart
 from geometry.hybrid.triangle import certified, make_phi, right_corner, triangle_map
 
 Array = NDArray[np.float64]
@@ -162,8 +162,7 @@ def _slender(chart: Chart, plane: Array, corner: Array) -> Mask:
 
 def _narrowing(chart: Chart, corners: Array) -> Mask:
     """Elements (e,) with corners (e, c, 2) in the parameter plane between which the chart narrows towards a pole."""
-    w = widths(chart, to_chart(chart, corners.reshape(-1, 2))).reshape(corners.shape[:2])
-    return np.asarray(w.max(axis=1) > NARROWS * w.min(axis=1))
+    return narrows(chart, to_chart(chart, corners.reshape(-1, 2)).reshape(corners.shape))
 
 
 def _touching(plane: Array, q0: Array) -> Mask:

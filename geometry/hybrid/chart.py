@@ -21,8 +21,9 @@ from scipy.interpolate import CubicSpline
 from geometry.cad.brep import Face, curve_points, surface_frame, surface_points
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-NARROWS = 3.0
+_NARROWS = 3.0
 """How much a chart may narrow towards a pole within an element of its parameter lines' B-splines."""
 _ROWS = 17
 
@@ -126,6 +127,12 @@ def lengths_of(chart: Chart) -> Array:
 def widths(chart: Chart, q: Array) -> Array:
     """Values (q,) of w at chart points (q, 2)."""
     return _widths(chart, chart.origin + q[:, 1] / chart.scale)
+
+
+def narrows(chart: Chart, q: Array) -> Mask:
+    """Elements (e,) with corners (e, c, 2) in the chart between which it narrows too much towards a pole."""
+    w = widths(chart, q.reshape(-1, 2)).reshape(q.shape[:2])
+    return np.asarray(w.max(axis=1) > _NARROWS * w.min(axis=1))
 
 
 def parameter_steps(chart: Chart, q: Array, step: Array) -> Array:

@@ -152,10 +152,9 @@ def _mesh_face(
     nodes, extra, polar = np.zeros((0, 4), dtype=np.int64), np.zeros((0, 2)), None
     if grid is not None:
         cells = _cells(brep, number, outline, grid)
-        grid, nodes, extra, polar = cells.grid, cells.nodes, cells.extra, cells.polar
         if banded:
             cells, corners, band = _banded(brep, number, chart, outline, cells)
-            grid, nodes, extra, polar = cells.grid, cells.nodes, cells.extra, cells.polar
+        grid, nodes, extra, polar = cells.grid, cells.nodes, cells.extra, cells.polar
     uv = np.concatenate([outline.uv, extra])
     low, high = _rectangles(grid, band)
     points = np.concatenate([outline.points, to_chart(chart, extra)])
@@ -274,9 +273,9 @@ def _cells(brep: Brep, number: int, outline: Outline, grid: Grid) -> _Cells:
     for pole in grid.poles:
         at = np.flatnonzero(outline.vertices == pole.vertex)
         if len(at) == 1:
-            np.moveaxis(name, pole.direction, 0)[-1 if pole.upper else 0] = at[0]
+            pole.onwards(name)[0] = at[0]
         else:  # the loops pass it several times
-            np.moveaxis(polar, pole.direction, 0)[-1 if pole.upper else 0] = False
+            pole.onwards(polar)[0] = False
     covered = _covered(face, grid, reach)
     sides = outline.leaving
     for row, column in np.argwhere(kept | polar).tolist():
@@ -304,8 +303,7 @@ def _polar_cells(grid: Grid, polar: Mask, name: Index) -> PolarCells | None:
     parts = []
     for pole in grid.poles:
         mine = np.zeros_like(polar)
-        row = -1 if pole.upper else 0
-        np.moveaxis(mine, pole.direction, 0)[row] = np.moveaxis(polar, pole.direction, 0)[row]
+        pole.onwards(mine)[0] = pole.onwards(polar)[0]
         i, j = np.nonzero(mine)
         low = np.stack([grid.lines[0][i], grid.lines[1][j]], axis=1)
         high = np.stack([grid.lines[0][i + 1], grid.lines[1][j + 1]], axis=1)

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.cad.brep import Brep, Coedge, Face, curve_points, surface_frame
-from geometry.hybrid.poles import Pole, poles_of, rows
+from geometry.hybrid.poles import AROUND, Pole, poles_of, rows
 from geometry.hybrid.sizing import Sizing, size_at
 from geometry.patch import Patch
 
@@ -298,9 +298,9 @@ def make_grid(brep: Brep, number: int, lines: tuple[Array, Array], sizing: Sizin
     if len(chosen):
         polar.ravel()[chosen] = _well_shaped(surface, lines, chosen, n, sizing, True)
     for pole in poles:  # a triangle at a pole stands on a quadrilateral
-        row, after = (np.moveaxis(x, pole.direction, 0)[:: -1 if pole.upper else 1] for x in (polar, kept))
-        if len(row) > 1:
-            row[0] &= after[1]
+        tips, cells = pole.onwards(polar), pole.onwards(kept)
+        if len(tips) > 1:
+            tips[0] &= cells[1]
     return Grid(lines, kept, inside, crossed, polar, poles)
 
 
@@ -308,10 +308,8 @@ def _at_poles(inner: Mask, poles: tuple[Pole, ...]) -> tuple[Mask, Mask]:
     """Cells that may become triangles at a pole, and all cells beside poles."""
     polar, beside = np.zeros_like(inner), np.zeros_like(inner)
     for pole in poles:
-        row = np.moveaxis(beside, pole.direction, 0)[-1 if pole.upper else 0]
-        mine = np.moveaxis(polar, pole.direction, 0)[-1 if pole.upper else 0]
-        cells = np.moveaxis(inner, pole.direction, 0)[-1 if pole.upper else 0]
-        mine[:] = cells & ~row  # not between two poles
+        row = pole.onwards(beside)[0]
+        pole.onwards(polar)[0] = pole.onwards(inner)[0] & ~row  # not between two poles
         row[:] = True
     return polar, beside
 
@@ -334,9 +332,7 @@ def _well_shaped(
 ) -> Mask:
     """Which cells are neither skew nor slender nor large; of triangles at poles only sides that have a length count."""
     i, j = chosen // n, chosen % n
-    corner = np.stack([
-        np.stack([lines[0][i + a], lines[1][j + b]], axis=1) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))
-    ], axis=1)  # fmt: skip
+    corner = np.stack([np.stack([lines[0][i + a], lines[1][j + b]], axis=1) for a, b in AROUND], axis=1)  # fmt: skip
     low, high = corner[:, 0], corner[:, 2]
     spread = 1e-9 * (high - low)
     inner = np.clip(corner, (low + spread)[:, None], (high - spread)[:, None])

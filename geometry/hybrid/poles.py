@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,10 @@ class Pole:
     def side(self) -> int:
         """Side of a cell, from corner to corner in `AROUND`, that the pole takes."""
         return (3, 1)[self.upper] if self.direction == 0 else (0, 2)[self.upper]
+
+    def onwards(self, cells: NDArray[Any]) -> NDArray[Any]:
+        """View of an array (m, n) over a grid's cells, or its vertices, by rows from the pole onwards."""
+        return np.moveaxis(cells, self.direction, 0)[:: -1 if self.upper else 1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from iga.kernels.inversion import ITERATIONS, evaluate
+from iga.kernels.inversion import ITERATIONS, evaluate, recentre
 from iga.kernels.options import PLAIN
 
 
@@ -87,16 +87,10 @@ def approach(nets, which, targets, exponents, scale, origin, centre, first, last
     target = np.empty(3)
     P, W = np.empty(nets.shape[1:]), np.zeros(nets.shape[1:])
     for m in range(first, last):
-        net = nets[which[m]]
-        for c in range(3):
-            shift = net[0, c] / net[0, 3]
-            target[c] = targets[m, c] - shift
-            for b in range(len(P)):
-                P[b, c] = net[b, c] - shift * net[b, 3]
+        recentre(nets[which[m]], targets[m], P, target)
         near, least = 0, np.inf
         for b in range(len(P)):
-            P[b, 3] = net[b, 3]
-            W[b, 0] = net[b, 3]
+            W[b, 0] = P[b, 3]
             gap = 0.0
             for c in range(3):
                 gap += (P[b, c] / P[b, 3] - target[c]) ** 2

@@ -150,6 +150,18 @@ def _project(bary, origin):
 
 
 @njit(**PLAIN)
+def recentre(net, point, P, target):
+    """Control points (b, 4) and a point, relative to the first one: so small elements far away keep their digits."""
+    for c in range(3):
+        shift = net[0, c] / net[0, 3]
+        target[c] = point[c] - shift
+        for b in range(len(P)):
+            P[b, c] = net[b, c] - shift * net[b, 3]
+    for b in range(len(P)):
+        P[b, 3] = net[b, 3]
+
+
+@njit(**PLAIN)
 def _outside(P, target, J, slack, simplex):
     """Whether a linear functional separates the target from the control points, by more than ``slack``.
 
@@ -203,15 +215,7 @@ def invert(
     for m in range(first, last):
         if status[m] == EXCLUDED:
             continue
-        # Work relative to the element's first control point, so that small elements far away keep their digits.
-        net = nets[which[m]]
-        for c in range(3):
-            shift = net[0, c] / net[0, 3]
-            target[c] = targets[m, c] - shift
-            for b in range(len(P)):
-                P[b, c] = net[b, c] - shift * net[b, 3]
-        for b in range(len(P)):
-            P[b, 3] = net[b, 3]
+        recentre(nets[which[m]], targets[m], P, target)
         for s in range(len(starts)):
             bary[:] = starts[s]
             w = evaluate(P, target, exponents, scale, bary, powers, prefix, F, slopes)
