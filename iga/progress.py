@@ -39,6 +39,7 @@ class Progress:
 
     style: Style = "none"
     _shown: list[Any] = field(default_factory=list, repr=False, compare=False)
+    _waiting: list[str] = field(default_factory=list, repr=False, compare=False)
     _lines: dict[str, float] = field(default_factory=lambda: {"last": time.monotonic()}, repr=False, compare=False)
 
     def track(self, items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
@@ -52,10 +53,21 @@ class Progress:
         else:
             yield from items
 
-    def say(self, message: str) -> None:
-        """Show one line that stays; with "lines" only if the last is long enough ago."""
-        if self.style == "none" or (self.style == "lines" and not self._due()):
+    def say(self, message: str, passing: bool = False) -> None:
+        """Show one line that stays; with "lines" only if the last is long enough ago.
+
+        Parameters
+        ----------
+        passing : whether it is a step of a stage; what was said of the last stage and not shown yet comes first.
+        """
+        if self.style == "none":
             return
+        if self.style == "lines":
+            if not passing:
+                self._waiting[:] = [message]
+            if not self._due():
+                return
+            message = self._waiting.pop() if self._waiting else message
         if self._shown:
             self._shown[-1].console.print(message, highlight=False, markup=False)
         else:

@@ -109,7 +109,7 @@ def untangle(
         kept[seen] = False
         invalid = np.concatenate([invalid[kept[invalid]], left])
         history.append(Round(len(invalid), int(open_.sum()), len(seen), least))
-        shown.say(f"untangling: {len(invalid)} elements not certified ({len(seen)} moved)")
+        shown.say(f"untangling: {len(invalid)} elements not certified ({len(seen)} moved)", passing=True)
         reach = reach if len(invalid) < 0.7 * best else reach + 1
         since = 0 if len(invalid) < best else since + 1
         best = min(best, len(invalid))
@@ -166,7 +166,7 @@ def smooth(
         step = task.mended(points, step, open_, seen, depth, repairs)
         points, count = task.advanced(points, step, seen, depth)
         history.append(Round(count, int(open_.sum()), len(seen), least))
-        shown.say(f"smoothing: {count} elements held back")
+        shown.say(f"smoothing: {count} elements held back", passing=True)
     return _result(task, points, broken, history)
 
 
