@@ -1,98 +1,140 @@
-"""Parameters of sources, as a command line gives them (texts) or as Python values; messages name the parameter."""
+"""Parameters of sources, given as texts by a command line or as Python values, and the rules that read them.
+
+A source keeps one table of rules beside its settings:
+
+    RULES = {"degree": whole(1, 8), "angle": optional(real(0.0, 180.0)), "convert": word("none", "hex4")}
+    settings = Settings(**parsed("hybrid", parameters, RULES))
+
+Whatever does not fit is refused by one sentence: "degree must be a whole number from 1 to 8, not '9'".
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from iga.errors import InputError
 
+LARGEST = 10**9
+"""Largest whole number where a rule says none: nothing that is counted here is larger."""
+SHOWN = 80
+"""Characters of a refused value that a message shows."""
 
-def require_known(source: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse names that the source does not have.
+
+@dataclass(frozen=True)
+class Rule:
+    """What a parameter may be.
+
+    Attributes
+    ----------
+    what : the end of the sentence "NAME must be ..".
+    read : the value, from what was given; raises TypeError, ValueError, OverflowError or OSError if that does not fit,
+        or an InputError that says why.
+    """
+
+    what: str
+    read: Callable[[Any], Any]
+
+
+def parsed(source: str, given: Mapping[str, Any], rules: Mapping[str, Rule]) -> dict[str, Any]:
+    """Values of the parameters that were given.
+
+    Parameters
+    ----------
+    source : its name, for messages.
+    given : texts or Python values by name.
+    rules : of all parameters that the source has.
 
     Raises
     ------
-    InputError : the first unknown name.
+    InputError : a name is unknown, or a value does not fit its rule.
     """
-    there = list(known)
-    unknown = sorted(set(given) - set(there))
-    if unknown:
-        raise InputError(f"the source {source} has no parameter {unknown[0]!r}; there are: {', '.join(there)}")
+    if unknown := sorted(set(given) - set(rules)):
+        raise InputError(f"the source {source} has no parameter {unknown[0]!r}; there are: {', '.join(rules)}")
+    return {key: _read(key, value, rules[key]) for key, value in given.items()}
 
 
-def number(value: Any, key: str) -> float:
-    """A finite real number.
-
-    Raises
-    ------
-    InputError : it is none.
-    """
+def _read(key: str, value: Any, rule: Rule) -> Any:
     try:
+        return rule.read(value)
+    except InputError:  # says more than the rule does
+        raise
+    except (TypeError, ValueError, OverflowError, OSError):
+        shown = " ".join(repr(value).split())
+        shown = shown if len(shown) <= SHOWN else shown[:SHOWN] + ".."
+        raise InputError(f"{key} must be {rule.what}, not {shown}") from None
+
+
+def real(low: float = -math.inf, high: float = math.inf, ends: bool = True) -> Rule:
+    """A finite number from ``low`` to ``high``; without ``ends``, strictly between them."""
+    what = "a number"
+    if math.isfinite(low):
+        what += f" from {low:g}" if ends else f" above {low:g}"
+    if math.isfinite(high):
+        what += f" to {high:g}" if ends else f"{' and' if math.isfinite(low) else ''} below {high:g}"
+
+    def read(value: Any) -> float:
         found = float(value)
-    except (TypeError, ValueError):
-        found = math.nan
-    if not math.isfinite(found):
-        raise InputError(f"{key} must be a number, not {value!r}")
-    return found
+        if not math.isfinite(found) or not low <= found <= high or (found in (low, high) and not ends):
+            raise ValueError
+        return found
+
+    return Rule(what, read)
 
 
-def whole(value: Any, key: str, least: int = 0, most: int | None = None) -> int:
-    """A whole number, not below ``least`` nor above ``most``.
+def whole(least: int = 0, most: int = LARGEST) -> Rule:
+    """A whole number from ``least`` to ``most``."""
 
-    Raises
-    ------
-    InputError : it is none.
-    """
-    try:
-        real = float(value)
-        found = int(real) if real == int(real) else least - 1
-    except (TypeError, ValueError, OverflowError):
-        found = least - 1
-    if found < least or (most is not None and found > most):
-        bounds = f"from {least} on" if most is None else f"from {least} to {most}"
-        raise InputError(f"{key} must be a whole number {bounds}, not {value!r}")
-    return found
+    def read(value: Any) -> int:
+        found = float(value)
+        if not least <= found <= most or found != int(found):
+            raise ValueError
+        return int(found)
+
+    return Rule(f"a whole number from {least} {'on' if most == LARGEST else f'to {most}'}", read)
 
 
-def rows(value: Any, key: str, width: int) -> tuple[tuple[float, ...], ...]:
-    """Rows of numbers, given as ``1,2,3; 4,5,6; ..`` or as a sequence of sequences.
+def truth() -> Rule:
+    """A truth value."""
 
-    Raises
-    ------
-    InputError : there are none, one of them has not ``width`` numbers, or one is no number.
-    """
-    try:
-        given = [row.split(",") for row in value.split(";")] if isinstance(value, str) else [list(row) for row in value]
-    except TypeError:
-        given = []
-    if not given or any(len(row) != width for row in given):
-        example = ",".join("xyz" if width == 3 else "abcdefgh"[:width])
-        raise InputError(f"{key} must be rows of {width} numbers as {example}; {example}; .., not {value!r}")
-    return tuple(tuple(number(x, key) for x in row) for row in given)
+    def read(value: Any) -> bool:
+        return word("true", "yes", "1", "false", "no", "0").read(value) in ("true", "yes", "1")
+
+    return Rule("true or false", read)
 
 
-def truth(value: Any, key: str) -> bool:
-    """A truth value.
+def word(*allowed: str) -> Rule:
+    """One of some words in lower case; capitals do not matter."""
 
-    Raises
-    ------
-    InputError : it is none.
-    """
-    text = str(value).lower()
-    if text not in ("true", "false", "1", "0", "yes", "no"):
-        raise InputError(f"{key} must be true or false, not {value!r}")
-    return text in ("true", "1", "yes")
+    def read(value: Any) -> str:
+        text = str(value).strip().lower()
+        if text not in allowed:
+            raise ValueError
+        return text
+
+    return Rule(f"one of {', '.join(allowed)}", read)
 
 
-def require_one_of(value: Any, key: str, allowed: Iterable[str]) -> None:
-    """Refuse a word that is none of the allowed ones.
+def rows(width: int, entry: Rule) -> Rule:
+    """Rows of ``width`` entries, at least one, given as ``1,2,3; 4,5,6; ..`` or as a sequence of sequences."""
+    example = ",".join("xyz" if width == 3 else "abcdefgh"[:width])
 
-    Raises
-    ------
-    InputError : it is none of them.
-    """
-    words = tuple(allowed)
-    if value not in words:
-        raise InputError(f"{key} is {value!r}; it must be one of {', '.join(words)}")
+    def read(value: Any) -> tuple[tuple[Any, ...], ...]:
+        given = [row.split(",") for row in value.split(";")] if isinstance(value, str) else value
+        found = tuple(tuple(entry.read(one) for one in row) for row in given)
+        if not found or any(len(row) != width for row in found):
+            raise ValueError
+        return found
+
+    return Rule(f"rows of {width} entries as {example}; {example}; .., each {entry.what}", read)
+
+
+def optional(rule: Rule, blank: str = "auto") -> Rule:
+    """What a rule takes, or None, for which there is a word too."""
+
+    def read(value: Any) -> Any:
+        return None if value is None or (isinstance(value, str) and value.strip() == blank) else rule.read(value)
+
+    return Rule(f"{blank} or {rule.what}", read)

@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.parameters import number, require_known, require_one_of, truth, whole
-from iga.errors import FormatError, InputError
+from geometry.parameters import Rule, optional, parsed, real, truth, whole, word
+from iga.errors import FormatError
 
 Given = tuple[NDArray[np.int64], NDArray[np.int64]]
 Parameter = float | str | NDArray[np.float64]
 
 NAME = "catmull_clark"
-METHODS = ("auto", "pia", "conjugate", "direct", "pushback", "butterfly", "none")
-SPACES = ("catmull_clark", "optimal")
 
 
 @dataclass(frozen=True)
@@ -43,63 +41,60 @@ class Settings:
     attributes: tuple[str, ...] | None = None
 
 
-def parse(parameters: Mapping[str, Any]) -> Settings:
-    """Settings from parameters as a command line gives them (texts) or as Python values.
-
-    Raises
-    ------
-    InputError : unknown parameter or value.
-    """
-    renamed = {"lam" if key == "lambda" else key: value for key, value in parameters.items()}
-    shown = ["lambda" if key == "lam" else key for key in Settings.__dataclass_fields__]
-    require_known(NAME, ["lambda" if key == "lam" else key for key in renamed], shown)
-    made: dict[str, Any] = {}
-    for key, value in renamed.items():
-        if key == "depth":
-            made[key] = None if str(value) == "auto" else whole(value, key, most=6)
-        elif key in ("repair", "pillow", "bound"):
-            made[key] = truth(value, key)
-        elif key in ("lam", "mu", "gamma"):
-            made[key] = _parameter(value)
-        elif key == "relaxation":
-            made[key] = number(value, key)
-        elif key == "attributes":
-            parts = value.split(",") if isinstance(value, str) else value
-            made[key] = tuple(part.strip() for part in parts if part.strip())
-        elif key == "features":
-            made[key] = _features(value)
-        else:
-            made[key] = str(value)
-    settings = Settings(**made)
-    require_one_of(settings.interpolate, "interpolate", METHODS)
-    require_one_of(settings.space, "space", SPACES)
-    for key in ("lam", "mu", "gamma"):
-        value = getattr(settings, key)
-        if isinstance(value, float) and not 0.0 < value < 1.0:
-            raise InputError(f"{'lambda' if key == 'lam' else key} must lie between 0 and 1, not {value:g}")
-    return settings
-
-
-def _parameter(value: Any) -> Parameter:
-    """A number, the name of an attribute, or an array."""
-    if isinstance(value, np.ndarray):
-        return np.asarray(value, dtype=np.float64)
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return str(value)
-
-
 def _features(value: Any) -> str | float | Given:
     if isinstance(value, tuple) or (isinstance(value, str) and value in ("auto", "none")):
         return value
     try:
-        return float(value)
+        return float(real(0.0, 180.0).read(value))
     except (TypeError, ValueError):
-        path = Path(str(value))
-    if not path.is_file():
-        raise InputError(f"features must be auto, none, degrees, or a file of crease edges, not {value!r}")
-    return read_features(path)
+        return read_features(Path(value))
+
+
+def _shape(value: Any) -> Parameter:
+    """A parameter of push-back: a number, the name of an attribute, or an array."""
+    if isinstance(value, np.ndarray):
+        return np.asarray(value, dtype=np.float64)
+    try:
+        number = float(value)
+    except ValueError:
+        return str(value)
+    return float(real(0.0, 1.0, ends=False).read(number))
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    parts = value.split(",") if isinstance(value, str) else value
+    return tuple(part.strip() for part in parts if part.strip())
+
+
+_SHAPE = Rule("a number above 0 and below 1, the name of an attribute, or an array of numbers", _shape)
+
+RULES = {
+    "interpolate": word("auto", "pia", "conjugate", "direct", "pushback", "butterfly", "none"),
+    "features": Rule("auto, none, an angle from 0 to 180 degrees, or a file of crease edges", _features),
+    "depth": optional(whole(0, 6)),
+    "repair": truth(),
+    "pillow": truth(),
+    "bound": truth(),
+    "lambda": _SHAPE,
+    "mu": _SHAPE,
+    "gamma": _SHAPE,
+    "relaxation": real(0.0, 2.0, ends=False),
+    "space": word("catmull_clark", "optimal"),
+    "attributes": optional(Rule("names of attributes separated by commas", _names), "all"),
+}
+
+
+def parse(parameters: Mapping[str, Any]) -> Settings:
+    """Settings from parameters as a command line gives them (texts) or as Python values.
+
+    Python keeps the word ``lambda`` for itself, so that ``lam`` is taken too.
+
+    Raises
+    ------
+    InputError : a parameter is unknown, or has a value that does not fit.
+    """
+    made = parsed(NAME, {"lambda" if key == "lam" else key: value for key, value in parameters.items()}, RULES)
+    return Settings(**{"lam" if key == "lambda" else key: value for key, value in made.items()})
 
 
 def read_features(path: Path) -> Given:
@@ -115,8 +110,8 @@ def read_features(path: Path) -> Given:
         words = line.split("#")[0].split()
         if not words:
             continue
-        if len(words) > 2 or not all(word.isdecimal() for word in words):
+        if len(words) > 2 or not all(number.isdecimal() for number in words):
             shown = line.strip()[:40]
             raise FormatError(f"{path.name}, line {place}: {shown!r} is neither an edge (two vertices) nor a corner")
-        (edges if len(words) == 2 else corners).append([int(word) for word in words])
+        (edges if len(words) == 2 else corners).append([int(number) for number in words])
     return np.array(edges, dtype=np.int64).reshape(-1, 2), np.array(corners, dtype=np.int64).ravel()

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from geometry.parameters import number, require_known, rows, whole
-from iga.errors import InputError
+from geometry.parameters import optional, parsed, real, rows, whole, word
 
 NAME = "hybrid"
 
@@ -33,15 +32,22 @@ class Settings:
     relax: float = 0.5
 
 
-_RANGES: dict[str, tuple[float, float]] = {
-    "solid": (0, 10**6), "degree": (3, 8), "size": (1e-4, 1.0), "tolerance": (1e-10, 0.1), "layers": (0, 20),
-    "omega": (0.01, 0.95), "subdivide": (0, 4), "limit": (1.0, 1e6), "refine": (0, 5),
-    "relax": (0.0, 1.0),
-}
-
-_WORDS = {
-    "convert": ("none", "hex4"), "skin": ("triangles", "hybrid", "hb-rep"),
-    "paths": ("blended", "straight"), "strategy": ("kept", "recomputed", "layers", "trimmed"),
+RULES = {
+    "solid": optional(whole()),
+    "skin": word("triangles", "hybrid", "hb-rep"),
+    "degree": whole(3, 8),
+    "size": real(1e-4, 1.0),
+    "tolerance": real(1e-10, 0.1),
+    "layers": whole(0, 20),
+    "omega": real(0.01, 0.95),
+    "subdivide": optional(whole(0, 4)),
+    "limit": real(1.0, 1e6),
+    "convert": word("none", "hex4"),
+    "refine": whole(0, 5),
+    "strategy": word("kept", "recomputed", "layers", "trimmed"),
+    "paths": word("blended", "straight"),
+    "mid": optional(rows(3, real())),
+    "relax": real(0.0, 1.0),
 }
 
 
@@ -50,26 +56,6 @@ def parse(parameters: Mapping[str, Any]) -> Settings:
 
     Raises
     ------
-    InputError : unknown parameter or value.
+    InputError : a parameter is unknown, or has a value that does not fit.
     """
-    require_known(NAME, parameters, Settings.__dataclass_fields__)
-    made: dict[str, Any] = {}
-    for key, value in parameters.items():
-        if (key == "subdivide" and str(value) == "auto") or (key == "solid" and value is None):
-            made[key] = None
-        elif key == "mid":
-            made[key] = None if value is None or str(value) == "auto" else rows(value, key, 3)
-            continue
-        elif key in _WORDS:
-            made[key] = str(value).lower()
-            if made[key] not in _WORDS[key]:
-                raise InputError(f"{key} must be one of {', '.join(_WORDS[key])}, not {value!r}")
-            continue
-        elif key in ("size", "tolerance", "omega", "limit", "relax"):
-            made[key] = number(value, key)
-        else:
-            made[key] = whole(value, key)
-        low, high = _RANGES[key]
-        if made[key] is not None and not low <= made[key] <= high:
-            raise InputError(f"{key} must lie between {low:g} and {high:g}, not {value!r}")
-    return Settings(**made)
+    return Settings(**parsed(NAME, parameters, RULES))

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geometry.parameters import number, require_known, require_one_of, rows, truth, whole
+import numpy as np
+
+from geometry.parameters import Rule, optional, parsed, real, rows, truth, whole, word
 from iga.errors import InputError
 
 NAME = "meccano"
-MECCANOS = ("auto", "pillowed", "cube", "polycube")
-SPACES = ("optimal", "t-spline")
-MEASURES = ("volume", "distance")
-REMEDIES = ("refine", "untangle", "none")
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class Settings:
     remedy: str = "refine"
     corners: tuple[tuple[float, ...], ...] | None = None
     labels: tuple[int, ...] | None = None
-    cuboids: tuple[tuple[float, ...], ...] | None = None
+    cuboids: tuple[tuple[int, ...], ...] | None = None
 
     @property
     def as_paper(self) -> bool:
@@ -47,53 +46,45 @@ class Settings:
         return self.tolerance if self.tolerance is not None else 0.005 if self.as_paper else 0.004
 
 
+def _labels(value: Any) -> tuple[int, ...]:
+    """Sides of the meccano, one for each triangle, from a text file or a sequence."""
+    given = Path(value).read_text(errors="replace").split() if isinstance(value, str | Path) else value
+    found = np.asarray(given, dtype=float)
+    if found.ndim != 1 or not (found >= 0).all() or (found != np.floor(found)).any() or not np.isfinite(found).all():
+        raise ValueError
+    return tuple(found.astype(np.int64).tolist())
+
+
+RULES = {
+    "meccano": word("auto", "pillowed", "cube", "polycube"),
+    "space": word("optimal", "t-spline"),
+    "tolerance": optional(real(0.0, 1.0, ends=False)),
+    "max_cells": whole(),
+    "stretch": real(1.0, math.inf, ends=False),
+    "share": real(0.0, 0.5, ends=False),
+    "rounds": whole(),
+    "smoothing": whole(),
+    "mend": truth(),
+    "measure": word("volume", "distance"),
+    "remedy": word("refine", "untangle", "none"),
+    "corners": optional(rows(3, real())),
+    "labels": optional(Rule("a file with the side of each triangle, whole numbers from 0 on", _labels)),
+    "cuboids": optional(rows(6, whole(-10**6, 10**6))),
+}
+
+
 def parse(parameters: Mapping[str, Any]) -> Settings:
     """Settings from parameters as a command line gives them (texts) or as Python values.
 
     Raises
     ------
-    InputError : unknown parameter or value.
+    InputError : a parameter is unknown, has a value that does not fit, or contradicts another.
     """
-    require_known(NAME, parameters, Settings.__dataclass_fields__)
-    made: dict[str, Any] = {}
-    for key, value in parameters.items():
-        if key == "mend":
-            made[key] = truth(value, key)
-        elif key in ("max_cells", "rounds", "smoothing"):
-            made[key] = whole(value, key)
-        elif key in ("tolerance", "stretch", "share"):
-            made[key] = number(value, key)
-        elif key == "corners":
-            made[key] = None if value is None else rows(value, key, 3)
-        elif key == "cuboids":
-            made[key] = None if value is None else rows(value, key, 6)
-        elif key == "labels":
-            made[key] = None if value is None else _labels(value)
-        else:
-            made[key] = str(value)
-    settings = Settings(**made)
-    require_one_of(settings.meccano, "meccano", MECCANOS)
-    require_one_of(settings.space, "space", SPACES)
-    require_one_of(settings.measure, "measure", MEASURES)
-    require_one_of(settings.remedy, "remedy", REMEDIES)
+    settings = Settings(**parsed(NAME, parameters, RULES))
     if settings.meccano == "pillowed" and settings.space == "t-spline":
         raise InputError("the paper's T-splines need meccano=cube or meccano=polycube; they have no pillowed form")
     if settings.corners is not None and (settings.labels is not None or settings.cuboids is not None):
         raise InputError("corners are those of a cube whose patches are found; labels or cuboids say otherwise")
     if settings.meccano == "polycube" and settings.corners is not None:
         raise InputError("corners are those of a cube; with meccano=polycube give cuboids")
-    for key, low, high in (("aim", 0.0, 1.0), ("stretch", 1.0, float("inf")), ("share", 0.0, 0.5)):
-        if not low < getattr(settings, key) < high:
-            key = "tolerance" if key == "aim" else key
-            raise InputError(f"{key} must lie between {low:g} and {high:g}, not {getattr(settings, key):g}")
     return settings
-
-
-def _labels(value: Any) -> tuple[int, ...]:
-    """Sides of the meccano, one for each triangle, from a text file or a sequence."""
-    if isinstance(value, str):
-        path = Path(value)
-        if not path.is_file():
-            raise InputError(f"labels must be a file with the side of each triangle, not {value!r}")
-        value = path.read_text(errors="replace").split()
-    return tuple(whole(side, "labels") for side in value)

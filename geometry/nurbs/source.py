@@ -36,7 +36,7 @@ from geometry.nurbs import geopdes, gismo, mfem
 from geometry.nurbs.domain import build_domain, from_arrays
 from geometry.nurbs.multipatch import Multipatch, Name, glue, refined
 from geometry.nurbs.shapes import SHAPES
-from geometry.parameters import require_known
+from geometry.parameters import Rule, parsed, real, whole
 from geometry.patch import Patch, elevate
 from iga.domain import Domain
 from iga.errors import FormatError, InputError
@@ -44,6 +44,7 @@ from iga.errors import FormatError, InputError
 name = "nurbs"
 
 COMMON: dict[str, float] = {"elevate": 0, "degree": 0, "refine": 0, "tolerance": 1e-6}
+_RULES = {"degree": whole(0, MAX_DEGREE), "tolerance": real(0.0, 0.1, ends=False)}
 MAX_LEVELS = 12
 """Most refinements: 4096 intervals out of each."""
 
@@ -134,28 +135,18 @@ def _raise_degree(multipatch: Multipatch, degree: int) -> Multipatch:
 
 
 def check_parameters(given: Mapping[str, Any], known: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Settings with defaults filled in; texts are turned into the type of the default.
+    """Settings with defaults filled in.
 
     Raises
     ------
     InputError : a name is unknown, or a value is of the wrong kind.
     """
-    require_known(f"{name} on {source}", given, known)
-    settings = dict(known)
-    for key, value in given.items():
-        kind = type(known[key])
-        try:
-            settings[key] = kind(value)
-            if isinstance(value, float) and kind is int and value != int(value):
-                raise ValueError
-        except (TypeError, ValueError, OverflowError):
-            raise InputError(f"{source}: parameter {key} should be {'a whole number' if kind is int else 'a number'}, "
-                             f"not {value!r}") from None
-    if not 0 < settings["tolerance"] < 0.1:
-        raise InputError(f"{source}: tolerance {settings['tolerance']:g} is not between 0 and 0.1")
-    if settings.get("degree", 0) < 0:
-        raise InputError(f"{source}: degree {settings['degree']} is negative")
-    return settings
+    return {**known, **parsed(f"{name} on {source}", given, {key: _rule(key, known[key]) for key in known})}
+
+
+def _rule(key: str, default: float) -> Rule:
+    """What a parameter may be: like its default, where nothing else is said of it."""
+    return _RULES.get(key) or (whole() if isinstance(default, int) else real())
 
 
 def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:

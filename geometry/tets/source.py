@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.inputs import require_file
-from geometry.parameters import number, require_known, truth, whole
-from geometry.tets.domain import SOURCE, as_degenerate_hexes, as_tets, check_convert, domain_of
+from geometry.parameters import optional, parsed, real, truth, whole, word
+from geometry.tets.domain import CONVERSIONS, SOURCE, as_degenerate_hexes, as_tets, domain_of
 from geometry.tets.mesh import TetMesh
 from geometry.tets.reader import SURFACES, extensions, read_tets
 from geometry.tets.shapes import ball, cube
@@ -39,6 +39,15 @@ Array = NDArray[np.float64]
 
 name = SOURCE
 SHAPES: dict[str, Callable[[int, int], TetMesh]] = {"cube": cube, "ball": ball}
+
+RULES = {
+    "convert": word(*CONVERSIONS),
+    "degree": optional(whole(1)),
+    "angle": optional(real(0.0, 180.0, ends=False), "never"),
+    "tags": truth(),
+}
+OF_SHAPES = {"n": whole(1)}
+DEFAULTS: dict[str, Any] = {"convert": "none", "degree": None, "angle": None, "tags": True, "n": 2}
 
 
 def reads(path: str | Path) -> bool:
@@ -68,17 +77,11 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     InputError : unknown or ill-typed parameters, a file that cannot be read (`FormatError`) or is no valid mesh.
     """
     shape = SHAPES.get(str(path))
-    known = {"convert": "none", "degree": None, "angle": None, "tags": True} | ({"n": 2} if shape else {})
-    require_known(name, parameters, known)
-    chosen = {**known, **parameters}
-    convert = str(chosen["convert"]).lower()
-    degree = None if chosen["degree"] is None else whole(chosen["degree"], "degree", 1)
-    angle = None if chosen["angle"] is None else number(chosen["angle"], "angle")
-    tags = truth(chosen["tags"], "tags")
-    check_convert(convert)
-    mesh = shape(whole(chosen["n"], "n", 1), degree or 2) if shape else read_tets(require_file(path, SHAPES), tags=tags)
+    chosen = DEFAULTS | parsed(name, parameters, RULES | OF_SHAPES if shape else RULES)
+    tags, degree = chosen["tags"], chosen["degree"]
+    mesh = shape(chosen["n"], degree or 2) if shape else read_tets(require_file(path, SHAPES), tags=tags)
     try:
-        return domain_of(mesh, convert, degree, angle, source=Path(path).name, tags=tags)
+        return domain_of(mesh, chosen["convert"], degree, chosen["angle"], source=Path(path).name, tags=tags)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from None
 

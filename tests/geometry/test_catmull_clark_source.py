@@ -93,7 +93,7 @@ def test_pillowing_cures_smooth_folds(made: tuple[np.ndarray, np.ndarray]) -> No
 
 def test_settings_are_checked() -> None:
     for parameters, match in (
-        ({"lambda": 1.5}, "lambda must lie"), ({"depth": 9}, "depth"),
+        ({"lambda": 1.5}, "lambda must be a number above 0 and below 1"), ({"depth": 9}, "depth"),
         ({"colour": 1}, "no parameter 'colour'"), ({"interpolate": "best"}, "interpolate"),
         ({"repair": "maybe"}, "repair"), ({"features": "sharp"}, "features"), ({"space": "other"}, "space"),
     ):

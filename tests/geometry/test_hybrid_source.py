@@ -27,7 +27,8 @@ def test_settings_from_texts():
     assert (made.solid, made.layers, made.omega, made.subdivide, made.size) == (2, 4, 0.75, None, 0.1)
     for bad, message in (
         ({"colour": "red"}, "no parameter 'colour'"), ({"layers": "many"}, "layers must be a whole number"),
-        ({"layers": 2.5}, "whole number"), ({"size": 3}, "between"), ({"degree": 2}, "between 3 and 8"),
+        ({"layers": 2.5}, "whole number"), ({"size": 3}, "from 0.0001 to 1, not 3"),
+        ({"degree": 2}, "from 3 to 8, not 2"),
     ):
         with pytest.raises(InputError, match=message):
             parse(bad)

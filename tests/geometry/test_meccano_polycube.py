@@ -240,8 +240,10 @@ def test_a_polycube_and_its_surface_map_may_be_given() -> None:
 
 
 @pytest.mark.parametrize(("texts", "message"), [
-    ({"corners": "1,2; 3,4"}, "corners must be rows of 3 numbers"), ({"cuboids": "0,0,0,1,1"}, "rows of 6 numbers"),
-    ({"labels": "nowhere.txt"}, "labels must be a file"), ({"labels": [1, -2]}, "labels must be a whole number"),
+    ({"corners": "1,2; 3,4"}, "corners must be auto or rows of 3 entries"),
+    ({"cuboids": "0,0,0,1,1"}, "rows of 6 entries"),
+    ({"labels": "nowhere.txt"}, "labels must be auto or a file"),
+    ({"labels": [1, -2]}, "whole numbers from 0 on, not .1, -2"),
     ({"corners": "1,2,3", "cuboids": "0,0,0,1,1,1"}, "corners are those of a cube"),
     ({"corners": "1,2,3", "meccano": "polycube"}, "corners are those of a cube"),
 ])
