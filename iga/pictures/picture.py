@@ -66,7 +66,10 @@ def compose(
     legend: Sequence[tuple[str, str]] = (),
     title: str = "",
 ) -> Pixels:
-    """Set a picture with its scalar bar or legend (name, colour) and title; write it to a file if there is a path."""
+    """Set a picture (rows, columns, 3) with its scalar bar or legend (name, colour) and title.
+
+    Written as PNG if there is a path, returned in any case.
+    """
     mpl = matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -112,6 +115,7 @@ def compose(
 
 
 def _draw_bar(figure: Any, axes: Any, bar: Bar) -> None:
+    """Draw a scalar bar into axes of a figure."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.ticker import MaxNLocator, ScalarFormatter

@@ -37,8 +37,8 @@ COLOURS = (
 EDGE = "#2b2b2b"
 LEGEND = 14
 """Most names in a legend."""
-#: Axes that point up in a picture, with the direction from the solid to the eye that goes with each.
 VIEWS = {"x": (0.85, 1.0, -1.5), "y": (1.0, 0.85, 1.5), "z": (1.0, -1.5, 0.85)}
+"""Axes that point up in a picture, with the direction from the solid to the eye that goes with each."""
 
 # --- pictures --------------------------------------------------------------------------------------------------------
 
@@ -92,6 +92,7 @@ def plot_domain(
 
 
 def _part_colour(number: int, parts: int) -> str:
+    """Colour of a boundary by its number among so many; grey where there is no boundary (-1)."""
     if number < 0:
         return "#d4d4d4"
     return "#a9c5e0" if parts == 1 else COLOURS[number % len(COLOURS)]
@@ -140,9 +141,29 @@ def plot_field(
     quantity, space = named_quantities(domain, {name: values})[name]
     plane = plane_of(domain, cut)
     skin = tessellate(domain, quantity, space, plane, _warp(domain, warp, scale))
-    assert skin.values is not None
-    finite = skin.values[np.isfinite(skin.values)]
+    heading = f"{name} ({unit})" if unit else name
+    bar = _bar(np.asarray(skin.values), heading, limits, colours)
+
+    def paint(scene: Any) -> None:
+        _surface(
+            scene, skin, slice(None), scalars=skin.values, cmap=bar.colours, clim=(bar.low, bar.high), n_colors=256,
+            show_scalar_bar=False, interpolate_before_map=True,
+        )  # fmt: skip
+        if edges:
+            _curves(scene, skin, opacity=0.5)
+
+    picture = _draw(skin, _direction(plane, view, up), _axis(up), size, paint)
+    return compose(picture, path, bar, title=title)
+
+
+def _bar(values: Array, title: str, limits: tuple[float, float] | None, colours: str | None) -> Bar:
+    """Scalar bar of values (n,); what is not given is chosen as `plot_field` says."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        raise InputError(f"field {title!r} has no finite value to draw")
     low, high = limits if limits is not None else (float(finite.min()), float(finite.max()))
+    if not -np.inf < low <= high < np.inf:
+        raise InputError(f"limits of colours are two numbers, the lower one first, not {limits}")
     spread = max(abs(low), abs(high))
     if high - low <= 1e-9 * spread:  # constant up to round-off: show it as one colour, not as noise
         low, high = low - 0.05 * (spread or 1.0), high + 0.05 * (spread or 1.0)
@@ -151,21 +172,11 @@ def plot_field(
         colours = "coolwarm" if both else "viridis"
         if both and limits is None:
             low, high = -spread, spread
-
-    def paint(scene: Any) -> None:
-        _surface(
-            scene, skin, slice(None), scalars=skin.values, cmap=colours, clim=(low, high), n_colors=256,
-            show_scalar_bar=False, interpolate_before_map=True,
-        )  # fmt: skip
-        if edges:
-            _curves(scene, skin, opacity=0.5)
-
-    picture = _draw(skin, _direction(plane, view, up), _axis(up), size, paint)
-    heading = f"{name} ({unit})" if unit else name
-    return compose(picture, path, Bar(colours, low, high, heading), title=title)
+    return Bar(colours, low, high, title)
 
 
 def _warp(domain: Domain, warp: Any, scale: float | None) -> Array | None:
+    """Displacement (n, 3) times its factor, which is chosen where it is not given; see `plot_field`."""
     if warp is None:
         return None
     moved, space = named_quantities(domain, {"warp": warp})["warp"]
@@ -220,6 +231,12 @@ def can_draw() -> bool:
 
 
 def _scene(size: tuple[int, int]) -> Any:
+    """Empty picture of so many pixels with its lights.
+
+    Raises
+    ------
+    InputError : this machine has no graphics library.
+    """
     kind = window_kind()
     if not kind:
         raise InputError("no picture can be drawn here: install libegl1 and libegl-mesa0, or libosmesa6, and try again")
@@ -237,6 +254,7 @@ def _scene(size: tuple[int, int]) -> Any:
 
 
 def _surface(scene: Any, skin: Skin, which: Any, **look: Any) -> None:
+    """Draw some triangles of a skin; ``look`` goes to PyVista."""
     import pyvista as pv
 
     mesh = pv.PolyData(skin.points, faces(skin.triangles[which]))
@@ -272,6 +290,7 @@ def _curves(scene: Any, skin: Skin, opacity: float = 0.9) -> None:
 
 
 def _axis(up: str) -> Array:
+    """Unit vector of the axis x, y or z."""
     if up not in VIEWS:
         raise InputError(f"up is x, y or z, not {up!r}")
     return np.eye(3)["xyz".index(up)]
@@ -282,7 +301,7 @@ def _direction(plane: Plane | None, view: Sequence[float] | None, up: str) -> Ar
     axis = _axis(up)
     if view is not None:
         direction = np.asarray(view, dtype=float)
-        if direction.shape != (3,) or not np.linalg.norm(direction) > 0.0:
+        if direction.shape != (3,) or not 0.0 < np.linalg.norm(direction) < np.inf:
             raise InputError(f"a view is three numbers, not all zero: {view!r}")
     elif plane is None:
         direction = np.array(VIEWS[up])
@@ -307,6 +326,8 @@ def _draw(
     skin: Skin, direction: Array, axis: Array, size: int, paint: Callable[[Any], None]
 ) -> NDArray[np.uint8]:
     """Draw in parallel projection so that the longer side of the picture is about `size` pixels."""
+    if size < 1:
+        raise InputError(f"a picture is at least one pixel long, not {size}")
     up, box = _frame(skin.points, direction, axis)
     extent = np.maximum(box[1] - box[0], 1e-3 * np.ptp(box, axis=0).max() + 1e-300)
     pixels = np.maximum(np.ceil(size * extent / extent.max()), size // 4).astype(int) + 24

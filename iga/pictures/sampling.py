@@ -116,7 +116,12 @@ def homogeneous(
 
 
 def evaluate(quantity: Quantity, space: Space, samples: Samples) -> Array:
-    """Values (m, q, c) of a field given by coefficients, or of a function of `Samples`; a scalar has c = 1."""
+    """Values (m, q, c) of a field given by coefficients, or of a function of `Samples`; a scalar has c = 1.
+
+    Raises
+    ------
+    InputError : the function does not return one value for each element and point.
+    """
     if isinstance(quantity, np.ndarray):
         return samples.at(quantity.reshape(len(quantity), -1), space)
     shape = (len(samples.elements), len(samples.points))
@@ -130,7 +135,7 @@ def evaluate_block(quantity: Quantity, space: Space, domain: Domain, block: int,
     """Values (e, q, c) on all elements of a block, found in portions that bound the memory in use."""
     elements = np.arange(domain.space.blocks[block].elements)
     step = max(1, PORTION // len(points))
-    portions = [elements[start : start + step] for start in range(0, len(elements), step)]
+    portions = [elements[start : start + step] for start in range(0, max(len(elements), 1), step)]
     return np.concatenate([evaluate(quantity, space, Samples(domain, block, own, points)) for own in portions])
 
 
@@ -186,6 +191,7 @@ def subdivision(cell: Cell, n: int) -> tuple[Array, Index]:
 
 
 def _grid(cell: Cell, n: int) -> tuple[Array, Index]:
+    """`subdivision` of a line, quadrilateral, hexahedron or pyramid."""
     d = cell.dim
     number = np.arange((n + 1) ** d).reshape((n + 1,) * d)
     points = np.stack(np.meshgrid(*[np.arange(n + 1) / n] * d, indexing="ij"), axis=-1).reshape(-1, d)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from iga.cells import LINE, Cell
 from iga.domain import Domain, Facets, Space
@@ -27,6 +28,7 @@ Index = NDArray[np.int64]
 
 TRIANGLES = 400_000
 """About how many triangles a skin may have: sets the grid on each facet."""
+_NOTHING_LEFT = "there is nothing to draw: the cut takes all elements away"
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def tessellate(
     facets = _visible(domain, plane)
     count = sum(len(f.elements) for _, f in facets)
     if not count:
-        raise InputError("there is nothing to draw: the cut takes all elements away")
+        raise InputError(_NOTHING_LEFT)
     n = pieces or int(np.clip(np.sqrt(TRIANGLES / (2 * count)), 1, 16))
     skin = _join([_on_facets(shown, number, f, n) for number, f in facets])
     return _clipped(shown, skin, plane, n) if plane is not None and plane.smooth else skin
@@ -175,6 +177,7 @@ def _side(cell: Cell, n: int, a: int, b: int) -> Index:
 
 
 def _join(parts: list[Skin]) -> Skin:
+    """Skins as one."""
     starts = np.cumsum([0, *(len(p.points) for p in parts)])
     values = [p.values for p in parts if p.values is not None]
     return Skin(
@@ -195,7 +198,7 @@ def plane_of(domain: Domain, cut: Cut | str | None) -> Plane | None:
 
     Raises
     ------
-    InputError : the normal is neither an axis nor three numbers.
+    InputError : the normal is neither an axis nor three numbers, or the origin is no point.
     """
     if cut is None:
         return None
@@ -208,11 +211,13 @@ def plane_of(domain: Domain, cut: Cut | str | None) -> Plane | None:
         normal = np.eye(3)["xyz".index(axis)] * (-1.0 if cut.normal.startswith("-") else 1.0)
     else:
         normal = np.asarray(cut.normal, dtype=float)
-        if normal.shape != (3,) or not np.linalg.norm(normal) > 0.0:
+        if normal.shape != (3,) or not 0.0 < np.linalg.norm(normal) < np.inf:
             raise InputError(f"the normal of a cut is three numbers, not all zero: {cut.normal!r}")
         normal = normal / np.linalg.norm(normal)
     box = np.array([domain.points.min(axis=0), domain.points.max(axis=0)])
     origin = box.mean(axis=0) if cut.origin is None else np.asarray(cut.origin, dtype=float)
+    if origin.shape != (3,) or not np.isfinite(origin).all():
+        raise InputError(f"the origin of a cut is a point with three coordinates: {cut.origin!r}")
     return Plane(normal, origin, cut.smooth)
 
 
@@ -254,8 +259,6 @@ def exposed(domain: Domain, keep: list[NDArray[np.bool_]] | None = None) -> list
     keep : for each block (e,) which elements are there; all by default.
     """
     keep = [np.ones(block.elements, dtype=bool) for block in domain.space.blocks] if keep is None else keep
-    from scipy.spatial import cKDTree
-
     kinds = [
         (number, k, np.flatnonzero(keep[number]))
         for number, block in enumerate(domain.space.blocks)
@@ -289,19 +292,29 @@ def _clipped(shown: _Shown, skin: Skin, plane: Plane, n: int) -> Skin:
     """Clip the skin by the plane and close it with the section through the sampled elements."""
     import pyvista as pv
 
-    from iga.exchange.export import linear_grid
-
     mesh = pv.PolyData(skin.points, faces(skin.triangles))
     mesh.point_data["normals"] = skin.normals
     mesh.cell_data["part"] = skin.part
     if skin.values is not None:
         mesh.point_data["values"] = skin.values
     kept = mesh.clip(normal=plane.normal, origin=plane.origin, invert=True).triangulate()
+    if not kept.n_cells:
+        raise InputError(_NOTHING_LEFT)
     outside = Skin(
         np.asarray(kept.points, dtype=float), np.asarray(kept.point_data["normals"]), _triangles(kept),
         np.asarray(kept.cell_data["part"]), None if skin.values is None else np.asarray(kept.point_data["values"]),
         tuple(line[plane.height(line).max(axis=1) <= 0.0] for line in skin.lines),
     )  # fmt: skip
+    section = _section(shown, plane, n)
+    return outside if section is None else _join([outside, section])
+
+
+def _section(shown: _Shown, plane: Plane, n: int) -> Skin | None:
+    """Where the plane meets the sampled elements; None where it passes beside the solid."""
+    import pyvista as pv
+
+    from iga.exchange.export import linear_grid
+
     fields: dict[str, Any] = {}
     if shown.quantity is not None:
         quantity = shown.quantity
@@ -314,6 +327,8 @@ def _clipped(shown: _Shown, skin: Skin, plane: Plane, n: int) -> Skin:
     if shown.warp is not None:
         volume.points = volume.points + volume.point_data["moved"]
     section = volume.slice(normal=plane.normal, origin=plane.origin).triangulate()
+    if not section.n_cells:
+        return None
     triangles = _triangles(section)
     points = np.asarray(section.points, dtype=float)
     corners = points[triangles]
@@ -324,10 +339,9 @@ def _clipped(shown: _Shown, skin: Skin, plane: Plane, n: int) -> Skin:
         found = np.asarray(section.point_data["shown"])
         values = found if found.ndim == 1 else np.linalg.norm(found, axis=1)
     lines = _section_edges(shown, plane, n)
-    inside = Skin(
+    return Skin(
         points, np.tile(plane.normal, (len(points), 1)), triangles, np.full(len(triangles), -1), values, (lines,)
     )
-    return _join([outside, inside])
 
 
 def _section_edges(shown: _Shown, plane: Plane, n: int) -> Array:
@@ -360,5 +374,6 @@ def faces(triangles: Index) -> Index:
 
 
 def _triangles(mesh: Any) -> Index:
+    """Triangles (t, 3) of a PyVista surface that has no others."""
     flat = np.asarray(mesh.faces if mesh.n_cells else [], dtype=np.int64)
     return flat.reshape(-1, 4)[:, 1:].copy()

@@ -86,6 +86,32 @@ def test_wrong_cuts_and_fields_are_told():
         plot.plot_field(domain, np.zeros(2), "T")
     with pytest.raises(InputError, match="three coefficients"):
         plot.plot_field(domain, np.zeros(8), "T", warp=np.zeros((8, 2)))
+    with pytest.raises(InputError, match="field 'T' has no finite value"):
+        plot.plot_field(domain, lambda s: np.full(s.x.shape[:2], np.nan), "T")
+    for limits in ((1.0, 0.0), (np.nan, 1.0), (0.0, np.inf)):
+        with pytest.raises(InputError, match="the lower one first"):
+            plot.plot_field(domain, np.zeros(8), "T", limits=limits)
+    for origin in ((0.0, np.nan, 0.0), (0.0, 0.0)):
+        with pytest.raises(InputError, match="a point with three coordinates"):
+            plane_of(domain, Cut("x", origin))
+    with pytest.raises(InputError, match="three numbers"):
+        plane_of(domain, Cut((np.inf, 0.0, 0.0)))
+    with pytest.raises(InputError, match="view is three numbers"):
+        plot.plot_domain(domain, view=(np.inf, 0.0, 0.0))
+    with pytest.raises(InputError, match="at least one pixel"):
+        plot.plot_domain(domain, size=0)
+
+
+@pytest.mark.parametrize("fields", [False, True])
+def test_smooth_cuts_beside_a_solid(fields):
+    """They take all of it or nothing."""
+    domain = grid(1, 1)
+    values = domain.points[:, 0].copy() if fields else None
+    with pytest.raises(InputError, match="takes all elements away"):
+        tessellate(domain, values, plane=plane_of(domain, Cut("x", (-9.0, 0.0, 0.0), smooth=True)))
+    skin = tessellate(domain, values, plane=plane_of(domain, Cut("x", (9.0, 0.0, 0.0), smooth=True)), pieces=2)
+    assert abs(area(skin).sum() - 24.0) < 1e-5
+    assert (skin.part >= 0).all()
 
 
 def test_machine_that_cannot_draw_says_so(monkeypatch):
