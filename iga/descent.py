@@ -20,6 +20,12 @@ _ARMIJO = 1e-4
 """Share of the slope by which a step must lower the energy (Nocedal and Wright 2006, Section 3.1)."""
 _HALVINGS = 30
 """Trials of a line search: steps of 1e-9 of the first are lost in rounding."""
+_FIRST = 0.1
+"""Longest change of an unknown in a step along the gradient alone, whose length says nothing, in units of ``reach``."""
+_CURVED = 1e-10
+"""Least cosine between a step and the change of the gradient for which the pair is kept: below it is rounding."""
+_SHORTEST, _LONGEST = 0.1, 0.5
+"""Bounds of the factor by which interpolation shortens a step (Dennis and Schnabel 1996, Algorithm A6.3.1)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +46,7 @@ def descend(
     reach: float = 0.5,
     tolerance: float = 1e-6,
 ) -> Descent:
-    """Minimise an energy from a point where it is finite.
+    """Minimise an energy from a point x (m,) where it is finite.
 
     Parameters
     ----------
@@ -65,7 +71,7 @@ def descend(
         longest = float(np.abs(direction).max())
         if not longest > 0.0:
             break
-        length = min(1.0, reach / longest) if pairs else 0.1 * reach / longest
+        length = min(1.0, reach / longest) if pairs else _FIRST * reach / longest
         found = _search(energy, x, value, direction, slope, length)
         if found is None:
             if not pairs:
@@ -75,7 +81,7 @@ def descend(
         new, lower, turned = found
         s, y = new - x, turned - gradient
         curvature = float(s @ y)
-        if curvature > 1e-10 * float(np.linalg.norm(s) * np.linalg.norm(y)):
+        if curvature > _CURVED * float(np.linalg.norm(s) * np.linalg.norm(y)):
             pairs = [*pairs[-(memory - 1) :], (s, y, curvature)]
         falls = [falls[1], value - lower]
         x, value, gradient = new, lower, turned
@@ -84,6 +90,7 @@ def descend(
 
 
 def _direction(gradient: Array, pairs: list[tuple[Array, Array, float]]) -> Array:
+    """Direction -H g (m,) by the two-loop recursion over pairs s, y with their products s.y, the latest last."""
     q = -gradient
     if not pairs:
         return q
@@ -103,6 +110,7 @@ def _search(
     energy: Callable[[Array], tuple[float, Array]], x: Array, value: float, direction: Array, slope: float,
     length: float,
 ) -> tuple[Array, float, Array] | None:
+    """Point on the ray from x where the energy has fallen enough, energy and gradient there; None if none is found."""
     for _ in range(_HALVINGS):
         new = x + length * direction
         lower, gradient = energy(new)
@@ -110,7 +118,7 @@ def _search(
             return new, lower, gradient
         if np.isfinite(lower):
             best = -0.5 * slope * length**2 / (lower - value - slope * length)
-            length = min(max(best, 0.1 * length), 0.5 * length)
+            length = min(max(best, _SHORTEST * length), _LONGEST * length)
         else:
             length *= 0.5
     return None

@@ -31,18 +31,21 @@ Index = NDArray[np.int64]
 
 CHUNK = 64
 """Elements worked on at a time: their derivatives fit the cache."""
+_PORTION = 4096
+"""Elements whose Bezier nets are held at a time."""
+_SLENDER = 1e-3
+"""Least side of an ideal element over its longest: collapsed edges of an element still get a regular ideal."""
 
 _NEAR_APEX = 0.98
 """Height of the topmost sample points of a pyramid; at the apex itself its map has no Jacobian matrix."""
 
-# Columns are the derivatives of the ideal cell of unit edges.
 _IDEAL = {
     "hexahedron": np.eye(3),
     "tetrahedron": np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), np.sqrt(1.0 / 12.0)], [0.0, 0.0, np.sqrt(2 / 3)]]),
     "wedge": np.array([[1.0, 0.5, 0.0], [0.0, np.sqrt(0.75), 0.0], [0.0, 0.0, 1.0]]),
     "pyramid": np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, np.sqrt(0.5)]]),
 }
-# Edges whose mean length scales each column of the ideal cell.
+"""Columns are the derivatives of the ideal cell of unit edges."""
 _EDGES: dict[str, tuple[list[int], ...]] = {
     "hexahedron": tuple(
         [k for k, (a, b) in enumerate(HEXAHEDRON.edges) if HEXAHEDRON.vertices[a, d] != HEXAHEDRON.vertices[b, d]]
@@ -52,6 +55,7 @@ _EDGES: dict[str, tuple[list[int], ...]] = {
     "wedge": (list(range(3, 9)), list(range(3, 9)), [0, 1, 2]),
     "pyramid": (list(range(4)), list(range(4)), list(range(8))),
 }
+"""Edges whose mean length scales each column of the ideal cell."""
 
 
 @cache
@@ -81,13 +85,13 @@ def own_shapes(domain: Domain) -> tuple[Array, ...]:
         cell = block.basis.cell
         at = functions_at(block.basis, cell.vertices)
         corners = np.concatenate([
-            bezier_coefficients(block, domain.points, slice(a, a + 4096))[:, at]
-            for a in range(0, max(block.elements, 1), 4096)
+            bezier_coefficients(block, domain.points, slice(a, a + _PORTION))[:, at]
+            for a in range(0, max(block.elements, 1), _PORTION)
         ])
         ends = corners[:, cell.edges]
         length = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
         scale = np.stack([length[:, list(edges)].mean(axis=1) for edges in _EDGES[cell.name]], axis=1)
-        scale = np.maximum(scale, 1e-3 * scale.max(axis=1, keepdims=True))
+        scale = np.maximum(scale, _SLENDER * scale.max(axis=1, keepdims=True))
         made.append(_IDEAL[cell.name] * scale[:, None, :])
     return tuple(made)
 
@@ -175,6 +179,7 @@ def _chunk(
     batch: Batch, own: slice, values: Array, delta: Array, power: float, size: float, gradient: Array, energy: Array,
     least: Array,
 ) -> None:
+    """Add to the gradient (n, 3) what some elements of a batch give; fill their energy (e,) and smallest det S (e,)."""
     block, shared = batch.block, batch.table.ndim == 2
     dofs, extraction = block.dofs[own], block.extraction
     e, c, b = len(dofs), values.shape[1], block.basis.n
@@ -208,5 +213,6 @@ def _chunk(
 
 
 def _three(extraction: Kronecker) -> tuple[Array, Array, Array]:
+    """Factors of the three directions."""
     a, b, c = extraction.factors
     return a, b, c

@@ -11,7 +11,8 @@ Axis letters: e element, n function, m column of the constraint, q sample point,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,8 @@ from scipy.sparse import block_array, coo_array, csr_array, diags_array, eye_arr
 from scipy.sparse.csgraph import connected_components
 
 from iga.block import Block, Extraction, Kronecker, Patterns, bezier_coefficients
-from iga.certificate import Witnesses, certify
+from iga.cells import PYRAMID
+from iga.certificate import certify
 from iga.descent import descend
 from iga.distortion import Batch, evaluate, lattice_table, own_shapes, sample_points, tables_at
 from iga.domain import Domain, Space
@@ -38,229 +40,277 @@ _FINE = 9
 """Points along an edge of the lattice on which undecided elements are searched for their lowest det J."""
 _KEPT = 6
 """Most sample points of its own that an element has."""
+_NEAR_APEX = 1.0 - 1e-6
+"""Height of an own sample point of a pyramid whose det J is lowest at the apex."""
+_SIGN_ALONE = 1e9
+"""Tolerance of the bounds of det J where only their signs count."""
+_RISE = 0.01
+"""Share by which det S must rise at the worst point of a group for another, smaller delta to be worth a descent."""
+_PORTION = 64
+"""Elements searched at a time: their lattices take some megabytes."""
 
 
+@dataclass(frozen=True, eq=False)
 class Shaping:
-    """A domain with what may move in it.
+    """A domain with what may move in it; columns are the constraint's, or functions where there is none.
 
-    Parameters are those of `iga.untangling.untangle`; columns are the
-    constraint's, or functions where there is none.
+    Attributes
+    ----------
+    domain : the domain at the start.
+    inverse : (e, 3, 3) inverse Jacobian matrices of the ideal elements of each block.
+    moves : (n, m) steps of control points from those of columns.
+    open : (m,) columns that move free control points alone.
+    around : (e, m) ones where a column moves an element.
+    scale : (m,) size of the smallest element that a column moves.
+    samples, power, size, tether : as in `iga.untangling.untangle`.
+    extras : sample points of single elements, as elements (k,) and xi (k, 3), in the order in which they were found.
     """
 
-    def __init__(
-        self, domain: Domain, free: Mask, shapes: Sequence[Array] | None, samples: int, power: float,
-        size: float = 0.0, tether: Tether | None = None,
-    ) -> None:
-        space = domain.space
-        if free.shape != (space.n,) or free.dtype != np.bool_:
-            raise InputError(f"free must be {space.n} truth values, not {free.dtype} {free.shape}")
-        shapes = own_shapes(domain) if shapes is None else shapes
-        wanted = [(b.elements, 3, 3) for b in space.blocks]
-        if [s.shape for s in shapes] != wanted:
-            raise InputError(f"ideal shapes must be arrays {wanted}, not {[s.shape for s in shapes]}")
-        self.domain, self.samples, self.power, self.size, self.tether = domain, samples, power, size, tether
-        self.shape(shapes)
-        self.offsets = np.concatenate([[0], np.cumsum([b.elements for b in space.blocks])]).astype(np.int64)
-        self.elements = int(self.offsets[-1])
-        T = space.constraint
-        self.moves: csr_array = csr_array(eye_array(space.n)) if T is None else csr_array(T)
-        held = abs(self.moves).T @ (~free).astype(float) > 0.0
-        self.columns = self.moves.shape[1]
-        self.open: Mask = ~held
-        lengths = np.concatenate([np.cbrt(np.abs(np.linalg.det(s))) for s in shapes] or [np.empty(0)])
-        incidence = _incidence(space, self.elements)
-        # Elements by the columns that move them, and the size of the smallest element that a column moves.
-        self.around: csr_array = csr_array(abs(incidence @ abs(self.moves)))
-        self.around.data[:] = 1.0
-        self.scale = np.full(self.columns, np.inf)
-        coo = self.around.tocoo()
-        np.minimum.at(self.scale, coo.coords[1], lengths[coo.coords[0]])
-        self.scale[~np.isfinite(self.scale)] = 1.0
-        self.extras: list[tuple[Index, Array]] = []
+    domain: Domain
+    inverse: tuple[Array, ...]
+    moves: csr_array
+    open: Mask
+    around: csr_array
+    scale: Array
+    samples: int
+    power: float
+    size: float = 0.0
+    tether: Tether | None = None
+    extras: tuple[tuple[Index, Array], ...] = ()
 
-    def shape(self, shapes: Sequence[Array]) -> None:
-        """Take other ideal elements."""
-        self.inverse = [np.linalg.inv(s) for s in shapes]
+    @cached_property
+    def offsets(self) -> Index:
+        """(blocks + 1,) first element of each block in the numbering of all elements, and how many there are."""
+        return np.concatenate([[0], np.cumsum([b.elements for b in self.domain.space.blocks])]).astype(np.int64)
 
-    def touching(self, elements: Mask) -> Mask:
-        """Open columns that move some of the elements."""
-        return self.open & np.asarray(self.around.T @ elements.astype(float) > 0.0)
+    @property
+    def elements(self) -> int:
+        """Number of elements."""
+        return int(self.offsets[-1])
 
-    def elements_of(self, columns: Mask) -> Mask:
-        """Elements that some of the columns move."""
-        return np.asarray(self.around @ columns.astype(float) > 0.0)
 
-    def mask(self, elements: Index) -> Mask:
-        """Truth values (e,) of some elements."""
-        mask = np.zeros(self.elements, dtype=bool)
-        mask[elements] = True
-        return mask
+def shaping(
+    domain: Domain, free: Mask, shapes: Sequence[Array] | None, samples: int, power: float, size: float = 0.0,
+    tether: Tether | None = None,
+) -> Shaping:
+    """What is needed to improve the shapes of a domain; parameters are those of `iga.untangling.untangle`.
 
-    def mended(self, points: Array, step: Array, open_: Mask, seen: Index, depth: int, repairs: int) -> Array:
-        """Steps of the columns after untangling what they leave invalid."""
-        for _ in range(repairs):
-            invalid, worst = self.check(points + self.moves @ step, seen, depth)
-            if not len(invalid):
-                break
-            self.add(worst)
-            near = open_ & self.touching(self.mask(invalid))
-            moved = points + self.moves @ step
-            step = step + self.minimise(moved, near, np.flatnonzero(self.elements_of(near)), 15, 3)[0]
-        return step
+    Raises
+    ------
+    InputError : ``free`` or ``shapes`` do not fit the domain, or an ideal element is flat.
+    """
+    space = domain.space
+    if free.shape != (space.n,) or free.dtype != np.bool_:
+        raise InputError(f"free must be {space.n} truth values, not {free.dtype} {free.shape}")
+    shapes = own_shapes(domain) if shapes is None else shapes
+    wanted = [(b.elements, 3, 3) for b in space.blocks]
+    if [s.shape for s in shapes] != wanted:
+        raise InputError(f"ideal shapes must be arrays {wanted}, not {[s.shape for s in shapes]}")
+    T = space.constraint
+    moves = csr_array(eye_array(space.n)) if T is None else csr_array(T)
+    held = abs(moves).T @ (~free).astype(float) > 0.0
+    lengths = np.concatenate([np.cbrt(np.abs(np.linalg.det(s))) for s in shapes] or [np.empty(0)])
+    around = csr_array(abs(_incidence(space, len(lengths)) @ abs(moves)))
+    around.data[:] = 1.0
+    scale = np.full(moves.shape[1], np.inf)
+    coo = around.tocoo()
+    np.minimum.at(scale, coo.coords[1], lengths[coo.coords[0]])
+    scale[~np.isfinite(scale)] = 1.0
+    return Shaping(domain, _inverses(shapes), moves, ~held, around, scale, samples, power, size, tether)
 
-    def advanced(self, points: Array, step: Array, seen: Index, depth: int) -> tuple[Array, int]:
-        """Points moved by steps of the columns, less of them around invalid elements, and the number of those."""
-        share = np.ones(self.columns)
-        invalid, worst = self.check(points + self.moves @ step, seen, depth)
-        self.add(worst)
-        count = len(invalid)
-        while len(invalid):
-            back = self.touching(self.mask(invalid))
-            share[back] = np.where(share[back] > 0.2, 0.5 * share[back], 0.0)
-            # Elements not seen are broken from the start: they never become valid, and need not.
-            near = seen[self.elements_of(back)[seen]]
-            invalid, _ = self.check(points + self.moves @ (share[:, None] * step), near, depth)
-        return points + self.moves @ (share[:, None] * step), count
 
-    def grown(self, elements: Mask, rings: int) -> Mask:
-        """Elements with so many rings of neighbours."""
-        for _ in range(rings):
-            elements = elements | self.elements_of(self.touching(elements))
-        return elements
+def with_shapes(task: Shaping, shapes: Sequence[Array]) -> Shaping:
+    """The same with other ideal elements (e, 3, 3) of each block."""
+    return replace(task, inverse=_inverses(shapes))
 
-    def check(self, points: Array, elements: Index, depth: int) -> tuple[Index, tuple[Index, Array]]:
-        """Elements that are not certified, and (element, xi) of points where det J is lowest in them."""
-        part, numbers = self._part(points, elements)
-        made = certify(part, tolerance=1e9, max_depth=depth)
-        invalid = numbers[made.verdict <= 0]
-        return invalid, self._worst(part, made.witnesses, numbers, made.offsets, np.flatnonzero(made.verdict == 0))
 
-    def _worst(
-        self, part: Domain, witnesses: Witnesses, numbers: Index, offsets: Index, undecided: Index
-    ) -> tuple[Index, Array]:
-        found = [numbers[offsets[witnesses.block] + witnesses.element]]
-        xi = [witnesses.xi]
-        for k in range(len(part.space.blocks)):
-            mine = undecided[(undecided >= offsets[k]) & (undecided < offsets[k + 1])]
-            if not len(mine):
-                continue
+def with_samples(task: Shaping, worst: tuple[Index, Array]) -> Shaping:
+    """The same with further sample points, elements (k,) and xi (k, 3); the oldest ones of many are forgotten."""
+    elements, xi = worst
+    if not len(elements):
+        return task
+    return replace(task, extras=(*task.extras[-(_KEPT - 1) :], (elements, _off_apex(task, elements, xi))))
+
+
+def touching(task: Shaping, elements: Mask) -> Mask:
+    """Open columns (m,) that move some of the elements (e,)."""
+    return task.open & np.asarray(task.around.T @ elements.astype(float) > 0.0)
+
+
+def elements_of(task: Shaping, columns: Mask) -> Mask:
+    """Elements (e,) that some of the columns (m,) move."""
+    return np.asarray(task.around @ columns.astype(float) > 0.0)
+
+
+def mask_of(task: Shaping, elements: Index) -> Mask:
+    """Truth values (e,) of some elements, given by numbers."""
+    mask = np.zeros(task.elements, dtype=bool)
+    mask[elements] = True
+    return mask
+
+
+def grown(task: Shaping, elements: Mask, rings: int) -> Mask:
+    """Elements (e,) with so many rings of neighbours."""
+    for _ in range(rings):
+        elements = elements | elements_of(task, touching(task, elements))
+    return elements
+
+
+def invalid_elements(
+    task: Shaping, points: Array, elements: Index, depth: int
+) -> tuple[Index, tuple[Index, Array]]:
+    """Those of some elements that are not certified at control points (n, 3), and where det J is lowest in them.
+
+    Parameters
+    ----------
+    depth : of the certificates.
+
+    Returns
+    -------
+    Numbers of elements; elements (k,) and xi (k, 3) of the lowest points.
+    """
+    part, numbers = _part(task, points, elements)
+    made = certify(part, tolerance=_SIGN_ALONE, max_depth=depth)
+    undecided = np.flatnonzero(made.verdict == 0)
+    found = [numbers[made.offsets[made.witnesses.block] + made.witnesses.element]]
+    xi = [made.witnesses.xi]
+    for k in range(len(part.space.blocks)):
+        mine = undecided[(undecided >= made.offsets[k]) & (undecided < made.offsets[k + 1])]
+        if len(mine):
             found.append(numbers[mine])
-            xi.append(_lowest(part, k, mine - offsets[k]))
-        return np.concatenate(found), np.concatenate(xi)
+            xi.append(_lowest(part, k, mine - made.offsets[k]))
+    return numbers[made.verdict <= 0], (np.concatenate(found), np.concatenate(xi))
 
-    def _part(self, points: Array, elements: Index) -> tuple[Domain, Index]:
-        """Domain of some elements, and their numbers, blocks one after the other."""
-        blocks, numbers = [], []
-        for k, block in enumerate(self.domain.space.blocks):
-            mine = elements[(elements >= self.offsets[k]) & (elements < self.offsets[k + 1])]
-            if len(mine):
-                blocks.append(_some(block, mine - self.offsets[k]))
-                numbers.append(mine)
-        space = replace(self.domain.space, blocks=tuple(blocks), constraint=None)
-        return Domain(space, points), np.concatenate(numbers) if numbers else np.empty(0, dtype=np.int64)
 
-    def add(self, worst: tuple[Index, Array]) -> None:
-        """Remember sample points (element, xi)."""
-        if len(worst[0]):
-            near = np.array([self._off_apex(e, x) for e, x in zip(*worst)])
-            self.extras = [*self.extras[-(_KEPT - 1) :], (worst[0], near)]
+def _part(task: Shaping, points: Array, elements: Index) -> tuple[Domain, Index]:
+    """Domain of some elements, and their numbers, blocks one after the other."""
+    blocks, numbers = [], []
+    for k, block in enumerate(task.domain.space.blocks):
+        mine = elements[(elements >= task.offsets[k]) & (elements < task.offsets[k + 1])]
+        if len(mine):
+            blocks.append(_some(block, mine - task.offsets[k]))
+            numbers.append(mine)
+    space = replace(task.domain.space, blocks=tuple(blocks), constraint=None)
+    return Domain(space, points), np.concatenate(numbers) if numbers else np.empty(0, dtype=np.int64)
 
-    def _off_apex(self, element: int, xi: Array) -> Array:
-        block = int(np.searchsorted(self.offsets, element, side="right")) - 1
-        if self.domain.space.blocks[block].basis.cell.name != "pyramid" or xi[2] < 1.0 - 1e-6:
-            return xi
-        return np.array([*(xi[:2] if xi[2] < 1.0 else np.zeros(2)), 1.0 - 1e-6])
 
-    def minimise(
-        self, points: Array, open_: Mask, seen: Index, iterations: int, repeats: int = 6, folds: bool = True
-    ) -> tuple[Array, float]:
-        """Steps of the columns (m, 3) by descent over the open ones, and the smallest det S at samples of ``seen``.
+def _off_apex(task: Shaping, elements: Index, xi: Array) -> Array:
+    """Points (k, 3) of elements, those at the apex of a pyramid moved off it: its map has no Jacobian matrix there."""
+    block = np.searchsorted(task.offsets, elements, side="right") - 1
+    high = np.array([b.basis.cell is PYRAMID for b in task.domain.space.blocks])[block] & (xi[:, 2] >= _NEAR_APEX)
+    near = xi.copy()
+    near[high & (xi[:, 2] >= 1.0), :2] = 0.0
+    near[high, 2] = _NEAR_APEX
+    return near
 
-        Parameters
-        ----------
-        folds : whether elements may fold on the way; if not, only those are regularised that are folded at the start.
-        """
-        columns = np.flatnonzero(open_)
-        group, groups = self._groups(columns, seen)
-        batches, used = self._batches(seen, group)
-        moves = csr_array(self.moves[used][:, columns])
-        weights = self.domain.space.weights
-        base = points[used]
-        if weights is not None:
-            own = weights[used][:, None]
-            base, moves = np.column_stack([base * own, own]), csr_array(diags_array(own.ravel()) @ moves)
-        back = csr_array(moves.T)
-        values = base.copy()
-        delta = np.zeros(groups)
-        pull, soft = springs(self.tether, points, csr_array(self.moves[:, columns]), self.scale[columns])
 
-        def energy(z: Array) -> tuple[float, Array]:
-            step = _times(soft, z)
-            values[:, :3] = base[:, :3] + moves @ step
-            value, gradient, _, _ = evaluate(batches, values, delta, self.power, self.size)
-            held, slope = pull(step)
-            return value + held, _times(soft, back @ gradient + slope).ravel()
+def minimise(
+    task: Shaping, points: Array, open_: Mask, seen: Index, iterations: int, repeats: int = 6, folds: bool = True
+) -> tuple[Array, float]:
+    """Steps of the columns (m, 3) by descent over the open ones, and the smallest det S at samples of ``seen``.
 
-        def lowest(z: Array) -> Array:
-            values[:, :3] = base[:, :3] + moves @ _times(soft, z)
-            least = evaluate(batches, values, np.ones(groups), self.power)[3]
-            low = np.full(groups, np.inf)
-            for batch, own_least in zip(batches, least):
-                np.minimum.at(low, batch.group, own_least)
-            return low
+    Parameters
+    ----------
+    points : (n, 3) control points at the start.
+    open_ : (m,) columns that move; at least one.
+    seen : numbers of the elements whose energy counts: all that the open columns move.
+    iterations : most descent steps for each value of delta.
+    repeats : most values of delta.
+    folds : whether elements may fold on the way; if not, only those are regularised that are folded at the start.
+    """
+    columns = np.flatnonzero(open_)
+    group, groups = _groups(task, columns, seen)
+    batches, used = _batches(task, seen, group)
+    moves = csr_array(task.moves[used][:, columns])
+    weights = task.domain.space.weights
+    base = points[used]
+    if weights is not None:
+        own = weights[used][:, None]
+        base, moves = np.column_stack([base * own, own]), csr_array(diags_array(own.ravel()) @ moves)
+    back = csr_array(moves.T)
+    values = base.copy()
+    delta = np.zeros(groups)
+    pull, soft = springs(task.tether, points, csr_array(task.moves[:, columns]), task.scale[columns])
 
-        z = np.zeros(3 * len(columns))
-        low = lowest(z)
-        for _ in range(repeats):
-            folded = low < (EPSILON if folds else 0.0)
-            delta = np.where(folded, np.sqrt(EPSILON * np.where(folded, EPSILON - low, 0.0)), 0.0)
-            z = descend(energy, z, iterations).x
-            before, low = low, lowest(z)
-            if not (delta > 0.0).any() or not (low > before + 0.01 * np.abs(before)).any():
-                break
-        step = np.zeros((self.columns, 3))
-        step[columns] = _times(soft, z)
-        return step, float(low.min(initial=np.inf))
+    def energy(z: Array) -> tuple[float, Array]:
+        step = _times(soft, z)
+        values[:, :3] = base[:, :3] + moves @ step
+        value, gradient, _, _ = evaluate(batches, values, delta, task.power, task.size)
+        held, slope = pull(step)
+        return value + held, _times(soft, back @ gradient + slope).ravel()
 
-    def _groups(self, columns: Index, seen: Index) -> tuple[Index, int]:
-        """Connected group of each element seen, joined by open columns, and how many there are."""
-        part = self.around[seen][:, columns]
-        label = connected_components(block_array([[None, part], [part.T, None]]), directed=False)[1][: len(seen)]
-        found, group = np.unique(label, return_inverse=True)
-        return group.astype(np.int64), len(found)
+    def lowest(z: Array) -> Array:
+        values[:, :3] = base[:, :3] + moves @ _times(soft, z)
+        least = evaluate(batches, values, np.ones(groups), task.power)[3]
+        low = np.full(groups, np.inf)
+        for batch, own_least in zip(batches, least):
+            np.minimum.at(low, batch.group, own_least)
+        return low
 
-    def _batches(self, seen: Index, group: Index) -> tuple[list[Batch], Index]:
-        space = self.domain.space
-        place = np.full(self.elements, -1, dtype=np.int64)
-        place[seen] = np.arange(len(seen))
-        jobs: list[tuple[int, Index, Array | None]] = []
-        for k, first in enumerate(self.offsets[:-1].tolist()):
-            last = int(self.offsets[k + 1])
-            mine = seen[(seen >= first) & (seen < last)]
-            if len(mine):
-                jobs.append((k, mine - first, None))
-            for elements, xi in self.extras:
-                here = np.flatnonzero((elements >= first) & (elements < last) & (place[elements] >= 0))
-                if len(here):
-                    jobs.append((k, elements[here] - first, xi[here]))
-        used = np.unique(np.concatenate([space.blocks[k].dofs[own].ravel() for k, own, _ in jobs]))
-        number = np.full(space.n, -1, dtype=np.int64)
-        number[used] = np.arange(len(used))
-        rational = space.weights is not None
-        made = []
-        for k, own, own_xi in jobs:
-            block = _some(space.blocks[k], own)
-            basis = block.basis
-            if own_xi is None:
-                table = lattice_table(basis, self.samples, rational)
-            else:
-                table = tables_at(basis, own_xi, rational)
-            weight = np.full(len(own), 1.0 if own_xi is None else _EXTRA_WEIGHT)
-            made.append(Batch(
-                replace(block, dofs=number[block.dofs]), table, 4 if rational else 3,
-                np.ascontiguousarray(self.inverse[k][own]), weight, group[place[self.offsets[k] + own]],
-            ))
-        return made, used
+    z = np.zeros(3 * len(columns))
+    low = lowest(z)
+    for _ in range(repeats):
+        folded = low < (EPSILON if folds else 0.0)
+        delta = np.where(folded, np.sqrt(EPSILON * np.where(folded, EPSILON - low, 0.0)), 0.0)
+        z = descend(energy, z, iterations).x
+        before, low = low, lowest(z)
+        if not (delta > 0.0).any() or not (low > before + _RISE * np.abs(before)).any():
+            break
+    step = np.zeros((len(open_), 3))
+    step[columns] = _times(soft, z)
+    return step, float(low.min(initial=np.inf))
+
+
+def _groups(task: Shaping, columns: Index, seen: Index) -> tuple[Index, int]:
+    """Connected group of each element seen, joined by open columns, and how many there are."""
+    part = task.around[seen][:, columns]
+    label = connected_components(block_array([[None, part], [part.T, None]]), directed=False)[1][: len(seen)]
+    found, group = np.unique(label, return_inverse=True)
+    return group.astype(np.int64), len(found)
+
+
+def _batches(task: Shaping, seen: Index, group: Index) -> tuple[list[Batch], Index]:
+    """Elements seen with their sample points, and the functions (k,) on them, by which the batches are numbered."""
+    space = task.domain.space
+    place = np.full(task.elements, -1, dtype=np.int64)
+    place[seen] = np.arange(len(seen))
+    jobs: list[tuple[int, Index, Array | None]] = []
+    for k, first in enumerate(task.offsets[:-1].tolist()):
+        last = int(task.offsets[k + 1])
+        mine = seen[(seen >= first) & (seen < last)]
+        if len(mine):
+            jobs.append((k, mine - first, None))
+        for elements, xi in task.extras:
+            here = np.flatnonzero((elements >= first) & (elements < last) & (place[elements] >= 0))
+            if len(here):
+                jobs.append((k, elements[here] - first, xi[here]))
+    used = np.unique(np.concatenate([space.blocks[k].dofs[own].ravel() for k, own, _ in jobs]))
+    number = np.full(space.n, -1, dtype=np.int64)
+    number[used] = np.arange(len(used))
+    rational = space.weights is not None
+    made = []
+    for k, own, own_xi in jobs:
+        block = _some(space.blocks[k], own)
+        basis = block.basis
+        if own_xi is None:
+            table = lattice_table(basis, task.samples, rational)
+        else:
+            table = tables_at(basis, own_xi, rational)
+        weight = np.full(len(own), 1.0 if own_xi is None else _EXTRA_WEIGHT)
+        made.append(Batch(
+            replace(block, dofs=number[block.dofs]), table, 4 if rational else 3,
+            np.ascontiguousarray(task.inverse[k][own]), weight, group[place[task.offsets[k] + own]],
+        ))
+    return made, used
+
+
+def _inverses(shapes: Sequence[Array]) -> tuple[Array, ...]:
+    for k, own in enumerate(shapes):
+        size = np.abs(own).max(axis=(1, 2), keepdims=True)
+        flat = np.flatnonzero(~(np.abs(np.linalg.det(own / np.where(size > 0.0, size, 1.0))) > 0.0))
+        if len(flat):
+            raise InputError(f"the ideal shape of element {flat[0]} of block {k} is flat ({len(flat)} in all)")
+    return tuple(np.asarray(np.linalg.inv(own)) for own in shapes)
 
 
 def _times(units: Array, z: Array) -> Array:
@@ -297,7 +347,7 @@ def _lowest(domain: Domain, number: int, elements: Index) -> Array:
     grid = sample_points(block.basis.cell, _FINE)
     table = lattice_table(block.basis, _FINE, weights is not None)
     low = [np.empty(0, dtype=np.int64)]
-    for some in np.array_split(elements, -(-len(elements) // 64)):
+    for some in np.array_split(elements, -(-len(elements) // _PORTION)):
         net = bezier_coefficients(block, values, some).swapaxes(1, 2)
         J = (net @ table).reshape(*net.shape[:2], -1, len(grid))
         if weights is not None:

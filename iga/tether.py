@@ -37,7 +37,7 @@ class Tether:
 def springs(
     tether: Tether | None, points: Array, moves: csr_array, size: Array
 ) -> tuple[Callable[[Array], tuple[float, Array]], Array]:
-    """Energy of a tether and its slopes by steps (m, 3); and units of the unknowns (m, 3, 3).
+    """Energy of a tether as a function of steps, and units of the unknowns.
 
     A unit is the size of the smallest element that a column moves, less in directions in which springs are stiff:
     l (1 + l^2 K)^(-1/2) with K the column's own block of the springs' second derivatives.
@@ -47,6 +47,10 @@ def springs(
     points : (n, 3) control points before the step.
     moves : (n, m) matrix that gives the steps of the control points.
     size : (m,) sizes l.
+
+    Returns
+    -------
+    A function that gives the energy and its slope (m, 3) for steps (m, 3) of the columns; and units (m, 3, 3).
     """
     if tether is None:
         return lambda step: (0.0, np.zeros_like(step)), size[:, None, None] * np.eye(3)

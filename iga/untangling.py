@@ -20,12 +20,30 @@ from iga.distortion import own_shapes
 from iga.domain import Domain
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
-from iga.shaping import Shaping
+from iga.shaping import (
+    Shaping,
+    elements_of,
+    grown,
+    invalid_elements,
+    mask_of,
+    minimise,
+    shaping,
+    touching,
+    with_samples,
+    with_shapes,
+)
 from iga.tether import Tether
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+
+_FAST = 0.7
+"""Where a round leaves more than this share of the invalid elements, the next one frees one more ring around them."""
+_REPAIR_STEPS, _REPAIR_DELTAS = 15, 3
+"""Descent steps, and values of delta, when a round of smoothing untangles what it folded: much less than a round."""
+_LEAST_SHARE = 0.2
+"""Share of a step below which it is not halved again but given up."""
 
 
 @dataclass(frozen=True)
@@ -90,27 +108,26 @@ def untangle(
     ------
     InputError : arrays do not fit the domain.
     """
-    task = Shaping(domain, free, shapes, samples, power, size, tether)
+    task = shaping(domain, free, shapes, samples, power, size, tether)
     points = domain.points.copy()
-    invalid, worst = task.check(points, np.arange(task.elements), depth)
+    invalid, worst = invalid_elements(task, points, np.arange(task.elements), depth)
     history = [Round(len(invalid), 0, task.elements, np.nan)]
     best, since, reach = len(invalid), 0, 1
     while len(invalid) and since < patience and len(history) <= rounds:
-        concerned = task.mask(invalid)
-        task.add(worst)
-        open_ = task.touching(task.grown(concerned, reach - 1))
-        seen = np.flatnonzero(task.elements_of(open_))
+        task = with_samples(task, worst)
+        open_ = touching(task, grown(task, mask_of(task, invalid), reach - 1))
+        seen = np.flatnonzero(elements_of(task, open_))
         if not len(seen):
             break
-        step, least = task.minimise(points, open_, seen, iterations)
+        step, least = minimise(task, points, open_, seen, iterations)
         points = points + task.moves @ step
-        left, worst = task.check(points, seen, depth)
+        left, worst = invalid_elements(task, points, seen, depth)
         kept = np.ones(task.elements, dtype=bool)
         kept[seen] = False
         invalid = np.concatenate([invalid[kept[invalid]], left])
         history.append(Round(len(invalid), int(open_.sum()), len(seen), least))
         shown.say(f"untangling: {len(invalid)} elements not certified ({len(seen)} moved)", passing=True)
-        reach = reach if len(invalid) < 0.7 * best else reach + 1
+        reach = reach if len(invalid) < _FAST * best else reach + 1
         since = 0 if len(invalid) < best else since + 1
         best = min(best, len(invalid))
     return _result(task, points, invalid, history)
@@ -152,19 +169,21 @@ def smooth(
         tethers = [tether] * rounds
     else:
         tethers = list(tether)
-    task = Shaping(domain, free, shapes, samples, power)
+    task = shaping(domain, free, shapes, samples, power)
     points = domain.points.copy()
-    broken, _ = task.check(points, np.arange(task.elements), depth)
+    broken, _ = invalid_elements(task, points, np.arange(task.elements), depth)
     history = [Round(len(broken), 0, task.elements, np.nan)]
-    open_ = task.open & ~task.touching(task.mask(broken))
-    seen = np.flatnonzero(task.elements_of(open_))
+    open_ = task.open & ~touching(task, mask_of(task, broken))
+    seen = np.flatnonzero(elements_of(task, open_))
     for number, own in enumerate(tethers if len(seen) else ()):
-        task.tether = own(points) if callable(own) else own
+        task = replace(task, tether=own(points) if callable(own) else own)
         if shapes is None and number:
-            task.shape(own_shapes(replace(domain, points=points)))
-        step, least = task.minimise(points, open_, seen, iterations, folds=folds)
-        step = task.mended(points, step, open_, seen, depth, repairs)
-        points, count = task.advanced(points, step, seen, depth)
+            task = with_shapes(task, own_shapes(replace(domain, points=points)))
+        step, least = minimise(task, points, open_, seen, iterations, folds=folds)
+        task, step = _mended(task, points, step, open_, seen, depth, repairs)
+        invalid, worst = invalid_elements(task, points + task.moves @ step, seen, depth)
+        task, count = with_samples(task, worst), len(invalid)
+        points = _advanced(task, points, step, invalid, seen, depth)
         history.append(Round(count, int(open_.sum()), len(seen), least))
         shown.say(f"smoothing: {count} elements held back", passing=True)
     return _result(task, points, broken, history)
@@ -173,24 +192,59 @@ def smooth(
 def approach(domain: Domain, points: Array, depth: int = 6) -> Untangled:
     """Move control points as far towards given ones (n, 3) as all elements stay certified.
 
-    All the way, except around elements that are not certified then, where it is a half, a quarter or nothing.
+    All the way; around elements that are not certified then, a half, a quarter or an eighth of it, or nothing.
+    Elements not certified at the start are left alone, with their surroundings.
 
     Raises
     ------
-    InputError : the space has a constraint.
+    InputError : the space has a constraint, or the points do not fit it or are not finite.
     """
     if domain.space.constraint is not None:
         raise InputError("control points under a constraint cannot be moved one by one")
-    task = Shaping(domain, np.ones(domain.space.n, dtype=bool), None, 3, 2.0)
-    broken, _ = task.check(domain.points, np.arange(task.elements), depth)
+    if points.shape != domain.points.shape:
+        raise InputError(f"a domain of {domain.space.n} control points cannot approach an array {points.shape}")
+    if len(bad := np.flatnonzero(~np.isfinite(points).all(axis=1))):
+        raise InputError(f"control point {bad[0]} is to approach {points[bad[0]].tolist()}, which is no point")
+    task = shaping(domain, np.ones(domain.space.n, dtype=bool), None, 3, 2.0)
+    broken, _ = invalid_elements(task, domain.points, np.arange(task.elements), depth)
     step = points - domain.points
-    step[task.touching(task.mask(broken))] = 0.0
-    seen = np.flatnonzero(task.elements_of((step != 0.0).any(axis=1)))
-    made, count = task.advanced(domain.points, step, seen, depth)
-    return _result(task, made, broken, [Round(count, domain.space.n, len(seen), np.nan)])
+    step[touching(task, mask_of(task, broken))] = 0.0
+    seen = np.flatnonzero(elements_of(task, (step != 0.0).any(axis=1)))
+    invalid, _ = invalid_elements(task, domain.points + step, seen, depth)
+    made = _advanced(task, domain.points, step, invalid, seen, depth)
+    return _result(task, made, broken, [Round(len(invalid), domain.space.n, len(seen), np.nan)])
+
+
+def _mended(
+    task: Shaping, points: Array, step: Array, open_: Mask, seen: Index, depth: int, repairs: int
+) -> tuple[Shaping, Array]:
+    """Steps (m, 3) of the columns after untangling what they leave invalid, and the task with its sample points."""
+    for _ in range(repairs):
+        moved = points + task.moves @ step
+        invalid, worst = invalid_elements(task, moved, seen, depth)
+        if not len(invalid):
+            break
+        task = with_samples(task, worst)
+        near = open_ & touching(task, mask_of(task, invalid))
+        own = np.flatnonzero(elements_of(task, near))
+        step = step + minimise(task, moved, near, own, _REPAIR_STEPS, _REPAIR_DELTAS)[0]
+    return task, step
+
+
+def _advanced(task: Shaping, points: Array, step: Array, invalid: Index, seen: Index, depth: int) -> Array:
+    """Points (n, 3) moved by steps (m, 3) of the columns, less of them around elements that are then invalid."""
+    share = np.ones(len(step))
+    while len(invalid):
+        back = touching(task, mask_of(task, invalid))
+        share[back] = np.where(share[back] > _LEAST_SHARE, 0.5 * share[back], 0.0)
+        # Elements not seen are broken from the start: they never become valid, and need not.
+        near = seen[elements_of(task, back)[seen]]
+        invalid, _ = invalid_elements(task, points + task.moves @ (share[:, None] * step), near, depth)
+    return points + task.moves @ (share[:, None] * step)
 
 
 def _result(task: Shaping, points: Array, invalid: Index, history: list[Round]) -> Untangled:
+    """Result of a task at control points (n, 3); ``invalid`` are numbers of elements of all blocks together."""
     block = np.searchsorted(task.offsets, invalid, side="right") - 1
     pairs = np.stack([block, invalid - task.offsets[block]], axis=1)
     moved = np.flatnonzero((points != task.domain.points).any(axis=1))

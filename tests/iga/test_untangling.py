@@ -18,6 +18,7 @@ from iga.descent import descend
 from iga.distortion import Batch, evaluate, own_shapes, sample_points, table_at, tables_at
 from iga.domain import Domain, Space
 from iga.scaled_jacobian import scaled_jacobian
+from iga.shaping import shaping, with_samples
 from iga.tether import Tether
 from iga.untangling import approach, smooth, untangle
 from tests.meshes import box_complex, mixed_complex
@@ -311,3 +312,36 @@ def test_springs_of_each_round_start_from_its_points():
     assert (seen[0] == domain.points).all()
     assert (seen[1] != domain.points).any()
     assert (certify(replace(domain, points=found.points)).verdict == 1).all()
+
+
+def test_points_to_approach_are_checked():
+    domain = cube((2, 2, 2), (2, 2, 2))
+    with pytest.raises(InputError, match=r"64 control points cannot approach an array \(63, 3\)"):
+        approach(domain, domain.points[1:])
+    points = domain.points.copy()
+    points[5, 1] = np.nan
+    with pytest.raises(InputError, match="control point 5 is to approach"):
+        approach(domain, points)
+
+
+def test_collapsed_elements_have_no_ideal_of_their_own():
+    domain = cube((1, 1, 1), (2, 1, 1))
+    points = domain.points.copy()
+    points[domain.space.blocks[0].dofs[1]] = points[domain.space.blocks[0].dofs[1, 0]]
+    with pytest.raises(InputError, match=r"element 1 of block 0 is flat \(1 in all\)"):
+        untangle(replace(domain, points=points), np.ones(domain.space.n, dtype=bool))
+
+
+def test_sample_points_stay_off_the_apex_of_pyramids():
+    """There the map has no Jacobian matrix; the point just below the apex stands for it."""
+    pyramid, hexahedron = scattered(PYRAMID, 1, 1), scattered(HEXAHEDRON, 1, 1)
+    blocks = (*hexahedron.space.blocks, replace(pyramid.space.blocks[0], dofs=pyramid.space.blocks[0].dofs + 32))
+    domain = Domain(Space(blocks, 52), np.concatenate([hexahedron.points, pyramid.points]))
+    task = shaping(domain, np.ones(52, dtype=bool), None, 3, 2.0)
+    elements = np.array([0, 4, 5, 6])
+    xi = np.array([[0.5, 0.5, 1.0], [0.3, 0.2, 0.4], [0.3, 0.2, 1.0], [1e-8, 0.0, 1.0 - 1e-8]])
+    seen, near = with_samples(task, (elements, xi)).extras[0]
+    assert (seen == elements).all()
+    np.testing.assert_array_equal(near, [xi[0], xi[1], [0.0, 0.0, 1.0 - 1e-6], [1e-8, 0.0, 1.0 - 1e-6]])
+    assert task.extras == ()
+    assert with_samples(task, (elements[:0], xi[:0])) is task
