@@ -29,6 +29,9 @@ def turn(p: Any, a: Any, b: Any, c: Any) -> Any:
 @njit(cache=True)
 def _crosses(p: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
     """Whether segments ab and cd, which share no end, meet."""
+    for k in range(2):  # pieces of one straight line are apart, whatever rounding makes of their turns
+        if max(p[a, k], p[b, k]) < min(p[c, k], p[d, k]) or max(p[c, k], p[d, k]) < min(p[a, k], p[b, k]):
+            return False
     return (turn(p, a, b, c) > 0.0) != (turn(p, a, b, d) > 0.0) and (
         (turn(p, c, d, a) > 0.0) != (turn(p, c, d, b) > 0.0)
     )

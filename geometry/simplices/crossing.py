@@ -73,7 +73,7 @@ def _pierces(p: Array, q: Array, a: Array, b: Array, c: Array) -> bool:
     if _volume_sign(a, b, c, p) * _volume_sign(a, b, c, q) >= 0:
         return False
     one, two, three = _volume_sign(p, q, a, b), _volume_sign(p, q, b, c), _volume_sign(p, q, c, a)
-    if one == 0 and two == 0 and three == 0:  # the segment lies in the plane
+    if (one == 0) + (two == 0) + (three == 0) >= 2:  # through a vertex, or in the plane but for rounding
         return False
     return (one >= 0 and two >= 0 and three >= 0) or (one <= 0 and two <= 0 and three <= 0)
 

@@ -12,6 +12,7 @@ from geometry.cad.brep import Brep, curve_points, surface_points
 from geometry.hybrid import read_cad, shapes
 from geometry.hybrid.chart import line_frames, line_points, make_chart, to_chart, to_parameters
 from geometry.hybrid.curves import bezier_points, fit_cubics
+from geometry.hybrid.ears import bridged
 from geometry.hybrid.sizing import normal_curvature
 from geometry.hybrid.skin import Skin, build_skin
 from geometry.hybrid.triangulation import triangulate
@@ -105,6 +106,15 @@ def test_square_with_a_hole_is_triangulated() -> None:
         triangulate(crossed, [np.arange(4)], smooth[:4], flat, lambda x: np.ones(len(x)), set(), "bow tie")
 
 
+def test_polygons_with_vertices_on_a_straight_side_do_not_cross_themselves() -> None:
+    """On a slanted line vertices lie to one side or the other by rounding, and pieces that are apart do not meet."""
+    side = np.linspace(0.0, 1.0, 30)[:, None] * np.array([1.0, 1.0 / 3.0]) * 53.7
+    tip = np.array([(10.0, 40.0)])
+    x = np.concatenate([side, tip])
+    ring = bridged(x, [np.arange(len(x))], "a triangle")
+    assert np.array_equal(ring, np.arange(len(x)))
+
+
 def test_crossing_triangles_are_found() -> None:
     x = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.2, 0.2, -1), (0.3, 0.2, 1), (0.2, 0.3, 1), (2, 2, 2.0)])
     assert crossing_pairs(x, np.array([(0, 1, 2), (3, 4, 5)])).tolist() == [[0, 1]]
@@ -121,6 +131,26 @@ def test_triangles_beside_each_other_in_a_plane_do_not_cross() -> None:
         (20.31133198172747, 3.41871018926938, 10.000000000000073),
     ])  # fmt: skip
     assert len(crossing_pairs(x, np.array([(0, 1, 2), (3, 4, 5)]))) == 0
+
+
+def test_points_that_are_off_their_plane_by_more_than_rounding_do_not_cross() -> None:
+    """Two triangles of an HB-rep in the plane x = -150, apart by 2.6, their points off it by 1e-10: of the volumes that
+    say on which side of each other their edges pass all but one are rounding.
+    """
+    x = np.array([
+        (-150.00000000008561, -22.615077339096491, 4.1850045278162753),
+        (-149.99999999997127, -22.059013582078492, 6.5066436998675723),
+        (-149.99999999990797, -22.059013582078485, 4.1850045278162753),
+        (-150.0000000002602, -23.000225685032017, -6.2675338611503989e-03),
+        (-149.99999999990797, -22.615077339096477, 1.5533537482765682),
+        (-149.99999999990803, -20.999995972834540, -5.9894280452713942e-06),
+    ])
+    assert len(crossing_pairs(x, np.array([(0, 1, 2), (3, 4, 5)]))) == 0
+    x[3:, 1] -= x[3, 1] - x[0, 1]
+    x[3:, 2] += 4.5
+    x[3, 0] -= 1.0
+    x[4, 0] += 1.0
+    assert len(crossing_pairs(x, np.array([(0, 1, 2), (3, 4, 5)]))) == 1
 
 
 def test_points_that_were_evaluated_lie_in_their_plane() -> None:
