@@ -47,6 +47,8 @@ DEPTH = 0.6
 """Share of the way to the next line that a rectangle between two others may take."""
 NEAR = 1e-7
 """Distance, relative to the face, below which two points are one."""
+AT_END = 1e-3
+"""Share of a side by which it may reach over another and yet not cross it: neighbours share their ends."""
 STRAIGHT = 1e-7
 """Extent, relative to the face, below which a piece follows a parameter line."""
 _T = np.linspace(0.0, 1.0, 9)
@@ -238,10 +240,8 @@ def _sound(elements: list[_Element], plane: Array) -> list[_Element]:
     bends, outline = np.stack([_curve(c) for c in plane]), plane[:, 0]
     curves = bends[:, 1:-1]
     pieces = np.stack([bends[:, :-1], bends[:, 1:]], axis=2).reshape(-1, 2, 2)
-    alive = {
-        n for n, e in enumerate(elements)
-        if (e.kind != "triangle" or not _holds(e.polygon, np.delete(curves, e.number, axis=0).reshape(-1, 2)).any())
-        and (e.kind == "cell" or not _beside(pieces, outline, e))
+    alive = {  # the grid keeps its cells away from the curves
+        n for n, e in enumerate(elements) if e.kind == "cell" or not _on_outline(e, curves, pieces, outline)
     }
     boxes = np.array([(e.polygon.min(axis=0), e.polygon.max(axis=0)) for e in elements]).reshape(-1, 2, 2)
     size = np.prod(boxes[:, 1] - boxes[:, 0], axis=1)
@@ -250,9 +250,11 @@ def _sound(elements: list[_Element], plane: Array) -> list[_Element]:
         for b in np.flatnonzero(near[:a]).tolist():
             if a not in alive or b not in alive or elements[a].kind == elements[b].kind == "cell":
                 continue
-            if _holds(elements[a].polygon, elements[b].inside).any() or _holds(
-                elements[b].polygon, elements[a].inside
-            ).any():
+            if (
+                _cross(elements[a].sides, elements[b].sides)
+                or _holds(elements[a].polygon, elements[b].inside).any()
+                or _holds(elements[b].polygon, elements[a].inside).any()
+            ):
                 alive.discard(max(a, b, key=lambda n: (rank[elements[n].kind], size[n])))
     while True:
         corners = {n: _corners(elements[n]) for n in sorted(alive)}
@@ -265,6 +267,22 @@ def _sound(elements: list[_Element], plane: Array) -> list[_Element]:
             return [elements[n] for n in sorted(alive)]
         last = max(rank[elements[n].kind] for n in wrong)
         alive -= {n for n in wrong if rank[elements[n].kind] == last}
+
+
+def _on_outline(element: _Element, curves: Array, pieces: Array, outline: Array) -> bool:
+    """Whether the outline runs through an element, or next to its corners inside the face.
+
+    Parameters
+    ----------
+    curves, pieces, outline : points (s, k, 2) on the pieces of the outline, short straight pieces (m, 2, 2) of them,
+        and their vertices.
+    """
+    others = np.delete(curves, element.number, axis=0) if element.kind == "triangle" else curves
+    return (
+        bool(_holds(element.polygon, others.reshape(-1, 2)).any())
+        or _cross(element.sides, pieces)
+        or _beside(pieces, outline, element)
+    )
 
 
 def _corners(element: _Element) -> Array:
@@ -294,6 +312,21 @@ def _ends_on(sides: Array, nodes: Array, same: float) -> bool:
     end = np.minimum(along, 1.0 - along)
     apart = end * length[:, None] > same
     return bool((apart & (end > 0.0) & (away < ON * np.where(end > ON, 1.0, end))).any())
+
+
+def _cross(first: Array, second: Array) -> bool:
+    """Whether a straight piece of the first (k, 2, 2) crosses one of the second (m, 2, 2) between their ends."""
+    low, high = first.min(axis=(0, 1)), first.max(axis=(0, 1))
+    second = second[(second.min(axis=1) < high).all(axis=1) & (second.max(axis=1) > low).all(axis=1)]
+
+    def apart(a: Array, b: Array) -> Mask:
+        """Pieces (k, m) whose ends lie on both sides of the lines of others, by more than a share of a length."""
+        way, off = a[:, None, 1] - a[:, None, 0], b - a[:, None, None, 0]
+        side = way[..., None, 0] * off[..., 1] - way[..., None, 1] * off[..., 0]
+        room = AT_END * np.linalg.norm(b[:, 1] - b[:, 0], axis=1) * np.linalg.norm(way, axis=2)
+        return np.asarray((side.min(axis=2) < -room) & (side.max(axis=2) > room))
+
+    return bool((apart(first, second) & apart(second, first).T).any())
 
 
 def _holds(polygon: Array, points: Array) -> Mask:

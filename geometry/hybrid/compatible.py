@@ -46,7 +46,7 @@ def compatible_cuts(brep: Brep) -> dict[int, Array]:
         for f, k, i in brep.coedges_of[e]:
             face = brep.faces[f]
             coedge = face.loops[k][i]
-            crossed += crossings(coedge, face.surface.knots)
+            crossed += crossings(coedge, face.surface.knots, inner=True)
             turned += turns(coedge, face.surface)
         kept: list[float] = []
         room = NEAR / (1 + len(crossed) + len(turned))
@@ -125,14 +125,19 @@ def halved(
     return made
 
 
-def crossings(c: Coedge, lines: tuple[Array, ...]) -> list[float]:
-    """Parameters at which the curve of a coedge crosses lines, in both directions."""
+def crossings(c: Coedge, lines: tuple[Array, ...], inner: bool = False) -> list[float]:
+    """Parameters at which the curve of a coedge crosses lines, in both directions.
+
+    ``inner`` leaves out the first line and the last: those of a surface are its border, which curves pass by as much as
+    the file's tolerances allow, and no knots of its functions there.
+    """
     t = _samples(c)
     p = curve_points(c.curve, t)
     found: list[float] = []
     for d in range(2):
         x = np.unique(lines[d])
         reach = 10 * ALONG * (x[-1] - x[0])
+        x = x[1:-1] if inner else x
         for line in x[(x > p[:, d].min() + reach) & (x < p[:, d].max() - reach)].tolist():
             found += _zeros(t, p[:, d] - line, partial(_offset, c, d, line))
     return found
