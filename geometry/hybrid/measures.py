@@ -51,8 +51,16 @@ class Finer:
     pieces: Index
 
 
-def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: float) -> tuple[dict[str, Any], Finer]:
-    """Report of a skin (see `skin.build_skin`), and where elements must be smaller."""
+def measure(
+    brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: float, off: Array
+) -> tuple[dict[str, Any], Finer]:
+    """Report of a skin (see `skin.build_skin`), and where elements must be smaller.
+
+    Parameters
+    ----------
+    tolerance : wanted distance, relative to the diagonal.
+    off : distance of each edge from its faces, that no element beside it can do away with.
+    """
     area, volume = [], 0.0
     middle = made.points.mean(axis=0)
     for part in made.parts:
@@ -103,7 +111,7 @@ def measure(brep: Brep, made: Assembled, meshes: list[FaceMesh], tolerance: floa
     bad[element[pairs.ravel()]] = True
     if bad.any():
         report["faulty_faces"] = sorted({names[f] for f in owner[bad].tolist()})
-    reach = tolerance * brep.diagonal
+    reach = np.maximum(tolerance * brep.diagonal, 2.0 * _beside_edges(made, off))  # the edge is half way between faces
     failing = bad | (distance > reach)
     # What is nearly too far is held at its size, or the next mesh, where it may be larger, is too far there.
     some = failing | (distance > HOLD * reach)
@@ -139,6 +147,14 @@ def _pieces(made: Assembled, some: NDArray[np.bool_]) -> Index:
     first = np.cumsum([len(own) for own in sides])[:-1]
     keys = [own[mine].ravel() for own, mine in zip(sides, np.split(some, first))]
     return made.curves[np.isin(curves, np.concatenate(keys))]
+
+
+def _beside_edges(made: Assembled, off: Array) -> Array:
+    """For each element (e,) the largest value of an edge at which it has a vertex, from those of all edges."""
+    ends, edge = made.curves[:, :2], made.curves[:, 2]
+    at = np.zeros(made.vertices)
+    np.maximum.at(at, ends.ravel(), np.repeat(off[edge], 2))
+    return np.concatenate([at[part.corners].max(axis=1, initial=0.0) for part in made.parts])
 
 
 def _between_curves(made: Assembled) -> NDArray[np.bool_]:

@@ -133,10 +133,12 @@ def build_skin(
     refuse_cusps(brep, where)
     off = edge_distances(brep)
     brep = fitted_curves(met(brep, off), tolerance)
+    # Fitted triangles come nearer than their edges' gap; revised B-splines go on with it.
+    left = edge_distances(brep) if splines else np.zeros(len(brep.edges))
     sizes = size_edges(brep, size)  # of the CAD surfaces: splines in their place curl a little
     solid = splined(brep, tolerance) if splines else None
     brep = brep if solid is None else solid.brep
-    task, plan = _begun(brep, solid, sizes, size * brep.diagonal, tolerance, quads or splines)
+    task, plan = _begun(brep, solid, sizes, left, size * brep.diagonal, tolerance, quads or splines)
     best: tuple[float, Skin, Sealed | None] | None = None
     failed: FaceError | None = None
     stuck = 0
@@ -184,6 +186,7 @@ class _Task:
     solid : its B-splines, for an HB-rep.
     charts, flat : of each face.
     wanted : sizes along each edge, from curvature.
+    off : distance of each edge from the CAD surfaces that elements are allowed.
     """
 
     brep: Brep
@@ -191,6 +194,7 @@ class _Task:
     charts: list[Chart]
     flat: Mask
     wanted: list[Array]
+    off: Array
     tolerance: float
 
 
@@ -219,13 +223,14 @@ class _Plan:
 
 
 def _begun(
-    brep: Brep, solid: Splined | None, sizes: tuple[Sizing, list[Array]], most: float, tolerance: float, quads: bool
-) -> tuple[_Task, _Plan]:
+    brep: Brep, solid: Splined | None, sizes: tuple[Sizing, list[Array]], off: Array, most: float, tolerance: float,
+    quads: bool,
+) -> tuple[_Task, _Plan]:  # fmt: skip
     """The first plan: elements as the curvature wants them, cells no larger than ``most``."""
     sizing, wanted = sizes
     # The B-splines of all faces are revised, of plane ones too.
     flat = np.array([is_flat(face.surface) and solid is None for face in brep.faces])
-    task = _Task(brep, solid, [make_chart(face) for face in brep.faces], flat, wanted, tolerance)
+    task = _Task(brep, solid, [make_chart(face) for face in brep.faces], flat, wanted, off, tolerance)
     cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), most) if quads else {}
     cuts = {} if solid is None else compatible_cuts(brep)
     plan = _Plan(sizing, cells, set() if solid is None else set(cells), cuts, least_pieces(brep))
@@ -277,7 +282,7 @@ def _built(
     made = assemble(brep, edges, meshes, task.flat)
     sealed = None if solid is None else seal(solid, meshes, made)
     made = made if sealed is None else sealed.made
-    report, finer = measure(brep, made, meshes, task.tolerance)
+    report, finer = measure(brep, made, meshes, task.tolerance, task.off)
     none = {f: "no cell fits between its curves" for f in plan.cells if not len(meshes[f].quads)}
     if solid is not None:
         report["cad_faces_without_band"] = {brep.faces[f].name: why for f, why in sorted(plan.unbanded.items())}

@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 
 pytest.importorskip("OCP")
 
-from geometry.cad.brep import Brep, curve_points, curve_tangents, surface_points
+from geometry.cad.brep import Brep, Coedge, Curve, curve_points, curve_tangents, surface_points
 from geometry.hybrid import shapes
 from geometry.hybrid import skin as skins
 from geometry.hybrid.banding import band_elements
 from geometry.hybrid.chart import make_chart, to_parameters
-from geometry.hybrid.compatible import compatible_cuts, line_cuts, with_cuts, with_missing
+from geometry.hybrid.compatible import compatible_cuts, crossings, line_cuts, with_cuts, with_missing
 from geometry.hybrid.facemesh import FaceMesh, joined
 from geometry.hybrid.grid import followed
+from geometry.hybrid.measures import _beside_edges
 from geometry.hybrid.outline import regions
 from geometry.hybrid.sealing import Sealed, seal
 from geometry.hybrid.splining import Splined, on_lines, splined
+from geometry.patch import Patch
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -72,6 +74,15 @@ def test_pieces_lie_in_one_knot_interval_and_are_monotone_on_both_sides(name: st
                     slope = curve_tangents(c.curve, inner.ravel()).reshape(p.shape)[..., d]
                     small = 1e-6 * np.abs(slope).max()
                     assert ((slope > -small).all(axis=1) | (slope < small).all(axis=1)).all()
+
+
+def test_curves_that_leave_the_surface_by_a_tolerance_cross_no_knot_there() -> None:
+    """The border of a surface is no knot line: a cut where a curve passes it would leave a piece as short as that."""
+    surface = Patch((np.array([0, 0, 0.5, 1, 1.0]), np.array([0, 0, 1, 1.0])), np.zeros((3, 2, 3)))
+    curve = Curve(np.array([0, 0, 1, 1.0]), np.array([(-1e-5, 0.2), (1.0 + 1e-5, 0.7)]))
+    coedge = Coedge(0, False, curve)
+    assert len(crossings(coedge, surface.knots)) == 3
+    assert np.allclose(crossings(coedge, surface.knots, inner=True), [0.5])
 
 
 def test_other_ends_give_way_to_cuts() -> None:
@@ -166,6 +177,64 @@ def test_curves_that_come_close_leave_triangles_out() -> None:
         assert (high <= 1.0 + 1e-12).all()
         corners = np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
         assert (np.linalg.norm(corners - 0.5, axis=1) > 0.49 - 1e-9).all()
+
+
+def test_gaps_count_for_the_elements_at_their_edge() -> None:
+    _, sealed, _, _ = built()
+    made = sealed.made
+    off = np.zeros(1 + int(made.curves[:, 2].max()))
+    off[made.curves[3, 2]] = 0.25
+    found = _beside_edges(made, off)
+    at = set(made.curves[made.curves[:, 2] == made.curves[3, 2], :2].ravel().tolist())
+    touching = [bool(at & set(own)) for part in made.parts for own in part.corners.tolist()]
+    assert np.array_equal(found, np.where(touching, 0.25, 0.0))
+
+
+def circle(radius: float, centre: float, pieces: int, turn: float) -> Array:
+    """Cubic pieces (k, 4, 2) of a circle around (centre, centre), turn = 1 counter-clockwise and -1 clockwise."""
+    angle = turn * np.linspace(0.0, 2.0 * np.pi, pieces + 1)
+    p = centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    way = turn * radius * np.stack([-np.sin(angle), np.cos(angle)], axis=1) * (2.0 * np.pi / pieces) / 3.0
+    return np.stack([p[:-1], p[:-1] + way[:-1], p[1:] - way[1:], p[1:]], axis=1)
+
+
+def inside(ring: Array, points: Array) -> NDArray[np.bool_]:
+    """Points (k,) inside a polygon, by the angle that it takes around them."""
+    off = ring - points[:, None]
+    after = np.roll(off, -1, axis=1)
+    cross = off[..., 0] * after[..., 1] - off[..., 1] * after[..., 0]
+    return np.abs(np.arctan2(cross, (off * after).sum(axis=-1)).sum(axis=1)) > np.pi
+
+
+@pytest.mark.parametrize("pieces", [(8, 16), (16, 8), (12, 20), (24, 9)])
+@pytest.mark.parametrize("centre", [0.5, 0.51, 0.487])
+def test_elements_between_nearly_concentric_curves_keep_off_both(pieces: tuple[int, int], centre: float) -> None:
+    """Two circles nearer to each other than elements are large, and all in one knot interval: nothing crosses them."""
+    chart = make_chart(solid("curved_box").faces[0])
+    plane = np.concatenate([circle(0.45, 0.5, pieces[0], 1.0), circle(0.38, centre, pieces[1], -1.0)])
+    following = np.concatenate([np.roll(np.arange(pieces[0]), -1), pieces[0] + np.roll(np.arange(pieces[1]), -1)])
+    lines = (np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    found = band_elements(plane, following, lines, np.zeros((0, 2, 2)), chart)
+    t = np.linspace(0.0, 1.0, 60)[:, None, None]
+    x = (1 - t) ** 3 * plane[:, 0] + 3 * t * (1 - t) ** 2 * plane[:, 1]
+    x = x + 3 * t**2 * (1 - t) * plane[:, 2] + t**3 * plane[:, 3]
+    rings, own = [], []
+    for low, high in zip(found.low, found.high):
+        rings.append(np.array([low, (high[0], low[1]), high, (low[0], high[1])]))
+        own.append(-1)
+    for s, corner in zip(found.segment, found.corner):
+        rings.append(np.concatenate([x[:, s], corner[None]]))
+        own.append(int(s))
+    assert rings
+    outer, inner = x[:, : pieces[0]].swapaxes(0, 1).reshape(-1, 2), x[:, pieces[0] :].swapaxes(0, 1).reshape(-1, 2)
+    for ring, segment in zip(rings, own):
+        middle = ring.mean(axis=0)
+        small = middle + 0.99 * (ring - middle)
+        others = np.delete(x, segment, axis=1) if segment >= 0 else x
+        assert not inside(small, others.reshape(-1, 2)).any()
+        corners = small[[0, 1, 2, 3]] if segment < 0 else small[-1:]
+        assert inside(outer, corners).all()
+        assert not inside(inner, corners).any()
 
 
 def test_points_that_are_near_become_one() -> None:

@@ -128,6 +128,18 @@ def test_quadrilaterals_need_no_plain_triangles_instead(name: str, kind: str) ->
 
 @pytest.mark.long
 @pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
+@pytest.mark.parametrize(("name", "solid", "reach"), [("wrenchnut.stp", 0, 2e-5), ("mainbody_back.stp", None, 2.5e-5)])
+def test_gaps_of_a_file_leave_no_folds(name: str, solid: int | None, reach: float) -> None:
+    """Faces of the second touch each other up to 2.5e-5 of the diagonal apart, and no element can do away with that."""
+    report = build_skin(read_cad(DATA / name, solid), splines=True).report
+    assert report["crossings"] == report["folded"] == 0
+    assert not report["cad_faces_without_band"]
+    assert report["max_distance"] <= reach
+    assert report["elements"] < 14_000
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
 def test_a_leading_edge_keeps_its_splines() -> None:
     """The wing's faces curl within a thousandth of their length, where triangles are wider than knot intervals."""
     report = build_skin(read_cad(DATA / "wing_fuselage.step", 0), splines=True).report
