@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.cad.brep import Brep, Curve, curve_points
+from geometry.cad.brep import Brep, Curve, curve_points, curve_tangents
 from geometry.hybrid.curves import fit_cubics
 from geometry.hybrid.sizing import Sizing, divide_edge, size_at
 
@@ -92,10 +92,21 @@ def _cubics(brep: Brep, edge: int, ends: Array) -> tuple[Array, Array]:
     curve, vertices = brep.edges[edge].curve, brep.edges[edge].vertices
     x = curve_points(curve, ends)
     x[0], x[-1] = brep.vertices[vertices[0]], brep.vertices[vertices[1]]
-    return fit_cubics(partial(_edge_points, curve, ends), x[:-1], x[1:])
+    # Differences for derivatives would leave 1e-12 of a piece, where the surface is to be met exactly.
+    return fit_cubics(
+        partial(_edge_points, curve, ends), x[:-1], x[1:], frames=partial(_edge_frames, curve, ends)
+    )
 
 
 def _edge_points(curve: Curve, ends: Array, s: Array) -> Array:
     """Points (m, k, 3) of the pieces of an edge at their own parameters (m, k)."""
     t = ends[:-1, None] + np.diff(ends)[:, None] * s
     return curve_points(curve, t.ravel()).reshape(*s.shape, 3)
+
+
+def _edge_frames(curve: Curve, ends: Array, s: Array) -> tuple[Array, Array]:
+    """The same points and their derivatives (m, k, 3)."""
+    h = np.diff(ends)[:, None]
+    t = (ends[:-1, None] + h * s).ravel()
+    slope = curve_tangents(curve, t).reshape(*s.shape, 3)
+    return curve_points(curve, t).reshape(slope.shape), h[..., None] * slope
