@@ -30,12 +30,12 @@ from iga.progress import QUIET, Progress
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-#: Border parameters are multiples of this.
 GRAIN = 2.0**-45
-#: Most rounds of reweighting.
+"""Border parameters are multiples of this."""
 ROUNDS = 8
-#: Query points may lie outside all triangles of their side by this much, in barycentric coordinates.
+"""Most rounds of reweighting."""
 OUTSIDE = 1e-7
+"""Query points may lie outside all triangles of their side by this much, in barycentric coordinates."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,9 +23,8 @@ from iga.progress import QUIET, Progress
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-#: How near the middle, in radii of the disk, corners of the surface and creases attract corners of the patches.
-NEAR_CORNER = 0.5
-NEAR_CREASE = 0.35
+NEAR_CORNER, NEAR_CREASE = 0.5, 0.35
+"""How near the middle, in radii of the disk, corners of the surface and creases attract corners of the patches."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from geometry.layouts.blocks import Blocks
 from geometry.simplices.mean_value import mean_value
 from geometry.simplices.paths import Path, loop_of, straight, trace, without_chords
-from geometry.simplices.surface import CLEAN, Surface, area_vectors, sharp
+from geometry.simplices.surface import CLEAN, Surface, area_vectors, edge_rows, sharp
 from iga.cells import QUADRILATERAL
 from iga.errors import InputError
 
@@ -31,13 +31,14 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-#: Corners of a side in the order of its orientation, as vertices of the quadrilateral, and their places.
 ROUND = (0, 2, 3, 1)
+"""Corners of a side in the order of its orientation, as vertices of the quadrilateral."""
 SQUARE = QUADRILATERAL.vertices[list(ROUND)]
-#: A border that follows creases for this part of its length is left there.
+"""Their places."""
 FOLLOWED = 0.8
-#: How near the middle, in radii of the polygon, a corner of the surface attracts a corner of the patches.
+"""A border that follows creases for this part of its length is left there."""
 NEAR = 0.3
+"""How near the middle, in radii of the polygon, a corner of the surface attracts a corner of the patches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +88,7 @@ def patch_loop(layout: Layout, f: int) -> tuple[Index, Index]:
 
 
 def _marks(loop: Index, vertices: Index, f: int) -> Index:
+    """Places (m,) of vertices in the loop (b,) of patch f, ascending."""
     place = {int(v): i for i, v in enumerate(loop)}
     marks = np.array([place.get(int(v), -1) for v in vertices])
     if (marks < 0).any() or (np.diff(marks) <= 0).any():
@@ -170,12 +172,10 @@ def by_labels(surface: Surface, blocks: Blocks, labels: Index) -> Layout:
 
 
 def pieces(surface: Surface, inside: Mask, walls: Index | None) -> Index:
-    """Component (t,) of each triangle of a region cut by walls, given as pairs of vertices; -1 outside."""
-    joined = inside[surface.beside].all(axis=1)
+    """Component (t,) of each triangle of a region (t,) cut by walls, edges given as vertices (w, 2); -1 outside."""
+    joined = np.asarray(inside[surface.beside].all(axis=1))
     if walls is not None:
-        size = len(surface.points)
-        keys = np.sort(walls, axis=1) @ np.array([size, 1])
-        joined &= ~np.isin(surface.edges @ np.array([size, 1]), keys)
+        joined[edge_rows(surface, walls)] = False
     rows = np.full(len(inside), -1, dtype=np.int64)
     rows[inside] = np.arange(inside.sum())
     a, b = rows[surface.beside[joined]].T
@@ -188,27 +188,21 @@ def pieces(surface: Surface, inside: Mask, walls: Index | None) -> Index:
 
 def left_of(surface: Surface, a: int, b: int) -> int:
     """The triangle through which the edge from vertex a to vertex b runs."""
-    low, high = min(a, b), max(a, b)
-    k = int(np.searchsorted(surface.edges @ np.array([len(surface.points), 1]), low * len(surface.points) + high))
-    return int(surface.beside[k, 0 if a < b else 1])
+    return int(surface.beside[edge_rows(surface, np.array([[a, b]]))[0], 0 if a < b else 1])
 
 
 def with_border(layout: Layout, path: Path, f: int, g: int) -> Layout:
     """The layout with another border between two patches: f on the left of the path, g on its right."""
     side = layout.side[path.origin]
     region = (side == f) | (side == g)
-    piece = pieces(path.surface, region, np.stack([path.vertices[:-1], path.vertices[1:]], axis=1))
+    piece = pieces(path.surface, region, path.edges)
     left = piece[left_of(path.surface, int(path.vertices[0]), int(path.vertices[1]))]
     side = np.where(region, np.where(piece == left, f, g), side)
     return replace(layout, surface=path.surface, side=side)
 
 
-def _plane(layout: Layout, region: Mask, loop: Index, targets: Array, rounds: int) -> Array:
-    """Mean value places (v, 2) of a region."""
-    return mean_value(layout.surface.points, layout.surface.triangles[region], loop, targets, rounds)
-
-
 def _split_chords(layout: Layout, region: Mask) -> tuple[Layout, Mask]:
+    """The layout and a region (t,) of it, without inner edges that join two vertices of the region's border."""
     surface, origin = without_chords(layout.surface, region.astype(np.int64))
     return replace(layout, surface=surface, side=layout.side[origin]), region[origin]
 
@@ -241,7 +235,7 @@ def straighten_border(
     marks = _marks(loop, layout.corner[names], f)
     corners = np.array([(0, 0), (0, -1), (1, -1), (1, 0), (1, 1), (0, 1)], dtype=float)
     targets = polygon(layout.surface.points, loop, marks, corners)
-    places = _plane(layout, region, loop, targets, rounds)
+    places = mean_value(layout.surface.points, layout.surface.triangles[region], loop, targets, rounds)
     start, end = int(layout.corner[a]), int(layout.corner[b])
     path = trace(layout.surface, start, end, region, places=places, creases=True, clean=clean)
     if cut and _share_of_creases(path, clean) < FOLLOWED:
@@ -251,11 +245,9 @@ def straighten_border(
 
 def _share_of_creases(path: Path, clean: float) -> float:
     """Part of a path's length that runs along creases."""
-    surface, size = path.surface, len(path.surface.points)
-    ends = np.sort(np.stack([path.vertices[:-1], path.vertices[1:]], axis=1), axis=1)
-    row = np.searchsorted(surface.edges @ np.array([size, 1]), ends @ np.array([size, 1]))
+    surface, ends = path.surface, path.edges
     length = np.linalg.norm(surface.points[ends[:, 1]] - surface.points[ends[:, 0]], axis=1)
-    return float(length[sharp(surface, clean)[row]].sum() / length.sum())
+    return float(length[sharp(surface, clean)[edge_rows(surface, ends)]].sum() / length.sum())
 
 
 def centre_corner(layout: Layout, n: int, rounds: int = 0, step: float = 1.0) -> Layout:
@@ -277,13 +269,12 @@ def centre_corner(layout: Layout, n: int, rounds: int = 0, step: float = 1.0) ->
     names = [int(rows[g][(around[g] + k) % 4]) for g in ring for k in (1, 2)]
     if len(ring) != len(around) or len(set(names)) < len(names):
         return layout
-    region = np.isin(layout.side, ring)
-    layout, region = _split_chords(layout, region)
+    layout, region = _split_chords(layout, np.isin(layout.side, ring))
     loop = loop_of(layout.surface, region, int(layout.corner[names[0]]))
     marks = _marks(loop, layout.corner[names], ring[0])
     angle = 2 * np.pi * np.arange(len(names)) / len(names)
     targets = polygon(layout.surface.points, loop, marks, np.stack([np.cos(angle), np.sin(angle)], axis=1))
-    places = _plane(layout, region, loop, targets, rounds)
+    places = mean_value(layout.surface.points, layout.surface.triangles[region], loop, targets, rounds)
     inner = np.setdiff1d(layout.surface.triangles[region], loop)
     # Near the middle a corner of the surface, where three creases meet, is better than the middle itself.
     distance = ((places[inner] - (1 - step) * places[layout.corner[n]]) ** 2).sum(axis=1)
@@ -292,34 +283,18 @@ def centre_corner(layout: Layout, n: int, rounds: int = 0, step: float = 1.0) ->
     centre = int(inner[np.argmin(distance)])
     surface, side = layout.surface, layout.side
     walls = np.zeros((0, 2), dtype=np.int64)
-    for n_spoke in spokes:
-        path = trace(surface, centre, int(layout.corner[n_spoke]), region, walls, places)
-        new = len(path.surface.points) - len(surface.points)
-        if new:
-            places = _extended(places, surface, path.surface)
+    for spoke in spokes:
+        path = trace(surface, centre, int(layout.corner[spoke]), region, walls, places)
+        places = np.concatenate([places, places[path.split].mean(axis=1)])
         surface, side, region = path.surface, side[path.origin], region[path.origin]
-        walls = np.concatenate([walls, np.stack([path.vertices[:-1], path.vertices[1:]], axis=1)])
+        walls = np.concatenate([walls, path.edges])
     piece = pieces(surface, region, walls)
-    starts = {s: k for k, s in enumerate(spokes)}
-    for g in ring:
-        spoke = walls[_first_edges(walls, centre)[starts[int(rows[g][(around[g] + 1) % 4])]]]
-        side[piece == piece[left_of(surface, int(spoke[0]), int(spoke[1]))]] = g
+    # The patch of a spoke lies to its left; spokes begin at the centre and nothing else does.
+    for g, (a, b) in zip(ring, walls[walls[:, 0] == centre].tolist()):
+        side[piece == piece[left_of(surface, a, b)]] = g
     corner = layout.corner.copy()
     corner[n] = centre
     return replace(layout, surface=surface, side=side, corner=corner)
-
-
-def _first_edges(walls: Index, centre: int) -> Index:
-    """Rows of the walls that begin at the centre, in the order of the spokes."""
-    return np.flatnonzero(walls[:, 0] == centre)
-
-
-def _extended(places: Array, before: Surface, after: Surface) -> Array:
-    """Places also of new vertices, by the nearest point of the split edges: they are midpoints."""
-    new = after.points[len(before.points) :]
-    middles = before.points[before.edges].mean(axis=1)
-    found = [int(np.argmin(((middles - x) ** 2).sum(axis=1))) for x in new]
-    return np.concatenate([places, places[before.edges[found]].mean(axis=1)])
 
 
 def balance(layout: Layout) -> dict[str, float]:

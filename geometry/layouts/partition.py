@@ -41,16 +41,16 @@ from iga.progress import QUIET, Progress
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-#: Coarser surfaces are refined first, so that there are vertices and edges enough to choose from.
 LEAST_TRIANGLES = 3000
-#: Larger surfaces are simplified to find the corners.
+"""Coarser surfaces are refined first, so that there are vertices and edges enough to choose from."""
 MOST_TRIANGLES = 8000
-#: Part of the way to the middle that corners move in a round.
+"""Larger surfaces are simplified to find the corners."""
 STEP = 0.5
-#: What an octree level costs when divisions are compared.
+"""Part of the way to the middle that corners move in a round."""
 LEVEL = 0.05
-#: Rounds of reweighting in the steps that move corners and borders; without any, limbs draw patches together.
+"""What an octree level costs when divisions are compared."""
 REWEIGHTING = 2
+"""Rounds of reweighting in the steps that move corners and borders; without any, limbs draw patches together."""
 
 
 def partition(
@@ -88,6 +88,7 @@ def partition(
 
 
 def _straightened(layout: Layout, cut: bool) -> Layout:
+    """The layout with all borders straightened, one after the other; see `straighten_border`."""
     for border in borders(layout.blocks):
         layout = straighten_border(layout, border, cut, REWEIGHTING)
     return layout
@@ -183,6 +184,7 @@ def _extremes(surface: Surface, turn: bool = False) -> Index:
 
 
 def _nearest(surface: Surface, corners: Array) -> Index:
+    """Vertices (8,) nearest to points given for the corners of a cube (8, 3)."""
     if corners.shape != (8, 3) or not np.isfinite(corners).all():
         raise InputError(f"corners of a cube are given as 8 points with 3 coordinates, not as {corners.shape}")
     chosen = np.array([int(np.argmin(((surface.points - x) ** 2).sum(axis=1))) for x in corners])
@@ -230,8 +232,8 @@ def _along(surface: Surface, blocks: Blocks, chosen: Index, cycle: tuple[int, ..
         # Corners that no path has reached yet are in the way as well.
         path = trace(surface, int(chosen[a]), int(chosen[b]), walls=walls, avoid=chosen)
         surface = path.surface
-        walls = np.concatenate([walls, np.stack([path.vertices[:-1], path.vertices[1:]], axis=1)])
-        total += _length(surface, path.vertices)
+        walls = np.concatenate([walls, path.edges])
+        total += path.length
     piece = pieces(surface, np.ones(len(surface.triangles), dtype=bool), walls)
     start = walls[0]
     side = np.where(piece == piece[left_of(surface, int(start[0]), int(start[1]))], left[0], _others(left)[0])
@@ -246,15 +248,12 @@ def _along(surface: Surface, blocks: Blocks, chosen: Index, cycle: tuple[int, ..
             if f == middle:
                 a, b, f = b, a, g
             path = trace(layout.surface, int(chosen[a]), int(chosen[b]), layout.side == middle)
-            total += _length(path.surface, path.vertices)
+            total += path.length
             layout = with_border(layout, path, f, middle)
     check(layout)
     return total, layout
 
 
 def _others(left: list[int]) -> list[int]:
+    """Sides of the cube that are not among some of them."""
     return [f for f in range(6) if f not in left]
-
-
-def _length(surface: Surface, path: Index) -> float:
-    return float(np.linalg.norm(np.diff(surface.points[path], axis=0), axis=1).sum())

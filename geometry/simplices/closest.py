@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from geometry.simplices.surface import doubled_normals
 from geometry.tree import Tree, triangle_tree
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ def closest_facing(
     Points, distances and triangles; infinite distance and triangle -1 where no triangle faces that way.
     """
     corners = np.ascontiguousarray(points[triangles])
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = doubled_normals(corners)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     return _closest(corners, triangle_tree(corners), np.ascontiguousarray(queries), normals, ways, cosine)
 

@@ -19,8 +19,8 @@ from geometry.simplices.surface import Surface
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-#: Largest spacing of samples, in diagonals of the surface.
 SPACING = 0.005
+"""Largest spacing of samples, in diagonals of the surface."""
 
 
 def distances(
@@ -41,10 +41,9 @@ def distances(
     step = spacing * surface.diagonal
     there = closest(surface.points, surface.triangles, samples(boundary_points, boundary_triangles, step))[1]
     back = closest(boundary_points, boundary_triangles, samples(surface.points, surface.triangles, step))[1]
-    to, back_ = float(there.max()), float(back.max())
-    return {
-        "to_input": to, "from_input": back_, "relative": max(to, back_) / surface.diagonal, "spacing": float(spacing)
-    }
+    to_input, from_input = float(there.max()), float(back.max())
+    relative = max(to_input, from_input) / surface.diagonal
+    return {"to_input": to_input, "from_input": from_input, "relative": relative, "spacing": float(spacing)}
 
 
 def samples(points: Array, triangles: Index, step: float) -> Array:

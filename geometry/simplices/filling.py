@@ -22,6 +22,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from geometry.simplices.surface import doubled_normals, half_edges
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -45,38 +47,44 @@ def holes(points: Array, triangles: Index) -> list[Hole]:
     """Holes of triangles that are oriented alike; edges of the border that close no loop are left out."""
     start, end, beyond = _border(triangles)
     normals = np.zeros_like(points)
-    corners = points[triangles]
-    vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    np.add.at(normals, triangles.ravel(), np.repeat(vectors, 3, axis=0))
+    np.add.at(normals, triangles.ravel(), np.repeat(doubled_normals(points[triangles]), 3, axis=0))
     leaving: dict[int, list[int]] = {}
     for edge, vertex in enumerate(start.tolist()):
         leaving.setdefault(vertex, []).append(edge)
     found: list[Hole] = []
-    for first in range(len(start)):
-        path = [first] if first in leaving.get(int(start[first]), ()) else []
-        if path:
-            leaving[int(start[first])].remove(first)
+    for first, vertex in enumerate(start.tolist()):
+        if first not in leaving[vertex]:
+            continue
+        leaving[vertex].remove(first)
+        path, met = [first], {vertex: 0}
         while path:
             here = int(end[path[-1]])
-            place = next((n for n, edge in enumerate(path) if start[edge] == here), None)
-            if place is not None:
+            if here in met:
                 # A vertex that the path has met before closes a loop; the path goes on without it.
-                loop = np.array(path[place:])
+                loop = np.array(path[met[here] :])
                 found.append(Hole(start[loop], beyond[loop]))
-                del path[place:]
+                del path[met[here] :]
+                for left in start[loop].tolist():
+                    del met[left]
                 continue
             ways = leaving.get(here)
             if not ways:
                 break
             onward = _next_around(points, normals[here], here, int(start[path[-1]]), end[ways])
+            met[here] = len(path)
             path.append(ways.pop(onward))
     return found
 
 
 def filled(points: Array, triangles: Index, hole: Hole) -> Index | None:
-    """Triangles (t, 3) that close a hole; None where all ways give an edge to more than two triangles."""
+    """Triangles (t, 3) that close a hole; None where all ways give an edge to more than two triangles.
+
+    Parameters
+    ----------
+    triangles : (t, 3) those of the surface, or at least those with two vertices on the hole.
+    """
     n = len(hole.loop)
-    ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    ends = half_edges(triangles)
     near = np.isin(ends, hole.loop).all(axis=1)
     place = np.full(len(points), -1, dtype=np.int64)
     place[hole.loop] = np.arange(n)
@@ -100,7 +108,7 @@ def filled(points: Array, triangles: Index, hole: Hole) -> Index | None:
 
 def _border(triangles: Index) -> tuple[Index, Index, Index]:
     """Start and end (k,) of edges with one triangle, against its direction, and its third vertex."""
-    half = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    half = half_edges(triangles)
     inverse, count = np.unique(np.sort(half, axis=1), axis=0, return_inverse=True, return_counts=True)[1:]
     single = count[inverse.ravel()] == 1
     return half[single, 1], half[single, 0], triangles[:, [2, 0, 1]].ravel()[single]

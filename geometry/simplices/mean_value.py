@@ -24,15 +24,16 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
+from geometry.simplices.surface import doubled_normals
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-#: Power of the stretch in one round; whole powers overshoot, and give up angles for areas.
 DAMPING = 0.5
-#: Share of a patch's area that may stretch more than the limit.
+"""Power of the stretch in one round; whole powers overshoot, and give up angles for areas."""
 EXCEPTION = 1e-3
+"""Share of a patch's area that may stretch more than the limit."""
 
 
 def mean_value(
@@ -125,7 +126,8 @@ def _exceeds(space: Array, plane: Array, limit: float) -> float:
 
 
 def _areas(corners: Array) -> Array:
-    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2.0
+    """Areas (t,) of triangles in space (t, 3, 3)."""
+    return np.asarray(np.linalg.norm(doubled_normals(corners), axis=1) / 2.0)
 
 
 def signed_areas(corners: Array) -> Array:

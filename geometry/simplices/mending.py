@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from geometry.simplices.crossing import crossing_pairs
 from geometry.simplices.filling import filled, holes
-from geometry.simplices.surface import Surface, degenerate, shells_of
+from geometry.simplices.surface import Surface, degenerate, doubled_normals, shells_of
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -30,13 +30,18 @@ SAME = 1e-9
 """Points closer than this part of the diagonal are one."""
 MOST_VERTICES = 1000
 """Vertices around a hole up to which it is filled."""
-#: Part of the surface's area that may be filled anew because it crossed itself, and how often that is tried.
 MOST_CROSSING = 0.05
+"""Part of the surface's area that may be filled anew because it crossed itself."""
 ROUNDS = 4
+"""How often crossing triangles are taken away: the filling may cross something too."""
 
 
 def mended(points: Array, triangles: Index) -> tuple[Array, Index, dict[str, Any]]:
-    """Points (v, 3), triangles (t, 3) of the mended surface and what was done.
+    """Points (v, 3), triangles (t, 3) of the mended surface and a report, ``mended``: what was done, and how often.
+
+    Parameters
+    ----------
+    points, triangles : (v, 3) numbers, and (t, 3) vertices in range.
 
     Raises
     ------
@@ -47,8 +52,7 @@ def mended(points: Array, triangles: Index) -> tuple[Array, Index, dict[str, Any
     diagonal = float(np.linalg.norm(np.ptp(points[np.unique(triangles)], axis=0)))
     mesh = pyvista.PolyData.from_regular_faces(points, triangles.astype(int))
     # Where nothing is open, equal points may be meant to be apart.
-    ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-    is_open = (np.unique(ends[:, 0] * len(points) + ends[:, 1], return_counts=True)[1] == 1).any()
+    is_open = (np.bincount(Surface(points, triangles).edge_of.ravel()) == 1).any()
     if is_open or degenerate(points, triangles).any():
         mesh = mesh.clean(tolerance=SAME * diagonal, absolute=True, lines_to_points=False, polys_to_lines=False)
     clean = _triangles_only(mesh)
@@ -84,8 +88,7 @@ def _uncrossed(points: Array, triangles: Index) -> tuple[Index, dict[str, Any]]:
         if not len(kept):
             break
         # Crumbs that are cut off go too.
-        part = Surface(points, kept)
-        shell = shells_of(part.edge_of, len(part.edges))
+        shell = shells_of(Surface(points, kept))
         main = shell == np.bincount(shell).argmax()
         if _area(points, kept[~main]) > MOST_CROSSING * _area(points, kept):
             break
@@ -100,25 +103,29 @@ def _uncrossed(points: Array, triangles: Index) -> tuple[Index, dict[str, Any]]:
 def _filled(points: Array, triangles: Index, radius: float) -> tuple[Index, dict[str, Any]]:
     """Triangles with holes up to a radius filled, and how many, of how many edges, with what, and what stays open."""
     found, count, edges = holes(points, triangles), 0, 0
-    parts = [triangles]
+    rim = np.zeros(len(points), dtype=bool)
+    for hole in found:
+        rim[hole.loop] = True
+    # Only triangles with an edge between two vertices of holes can be in the way of their filling.
+    near = triangles[rim[triangles].sum(axis=1) > 1]
+    new = triangles[:0]
     for hole in found:
         around = points[hole.loop]
         made = None
         if np.linalg.norm(around - around.mean(axis=0), axis=1).max() <= radius and len(around) <= MOST_VERTICES:
-            made = filled(points, np.concatenate(parts), hole)
+            made = filled(points, np.concatenate([near, new]), hole)
         if made is not None:
-            parts.append(made)
+            new = np.concatenate([new, made])
             count, edges = count + 1, edges + len(around)
-    new = np.concatenate([triangles[:0], *parts[1:]])
-    return np.concatenate(parts), {
+    return np.concatenate([triangles, new]), {
         "filled_holes": count, "edges_around_them": edges, "added_triangles": len(new),
         "added_area": _area(points, new), "holes_left_open": len(found) - count,
     }
 
 
 def _area(points: Array, triangles: Index) -> float:
-    a, b, c = points[triangles].transpose(1, 0, 2)
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2.0
+    """Area of all triangles together."""
+    return float(np.linalg.norm(doubled_normals(points[triangles]), axis=1).sum()) / 2.0
 
 
 def _oriented(mesh: Any, outwards: bool) -> Any:

@@ -16,17 +16,21 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from geometry.simplices.surface import CLEAN, Surface, sharp
+from geometry.simplices.surface import CLEAN, Surface, edge_rows, sharp
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-#: A straight path that crosses an edge closer to its end than this share of its length goes through the end instead.
 SNAP = 0.15
-#: Length of creases, as a part of their true length, for paths that shall follow them.
+"""A straight path that crosses an edge closer to its end than this share of its length goes through the end instead."""
+LEAST_SHARE = 1e-3
+"""New vertices lie no closer to an end of their edge than this share of its length: triangles would be flat."""
+ASTRAY = 1e-9
+"""A straight path that leaves a triangle beyond the ends of an edge by more than this share has gone astray."""
 EASE = 0.3
+"""Length of creases, as a part of their true length, for paths that shall follow them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +42,23 @@ class Path:
     surface : the surface, some of its triangles split; old vertices keep their numbers.
     vertices : (p,) from start to end; neighbours are joined by edges.
     origin : (t,) the triangle before splitting that each triangle is part of.
+    split : (k, 2) vertices between which each new vertex lies, in the order of their numbers.
     """
 
     surface: Surface
     vertices: Index
     origin: Index
+    split: Index
+
+    @property
+    def edges(self) -> Index:
+        """(p - 1, 2) its edges, from vertex to vertex."""
+        return np.stack([self.vertices[:-1], self.vertices[1:]], axis=1)
+
+    @property
+    def length(self) -> float:
+        """Its length."""
+        return float(np.linalg.norm(np.diff(self.surface.points[self.vertices], axis=0), axis=1).sum())
 
 
 def split_edges(surface: Surface, edges: Index, points: Array) -> tuple[Surface, Index]:
@@ -156,7 +172,7 @@ def trace(
     start, end : vertices; they may lie on walls.
     inside : (t,) the region to stay in, border excluded; None for everywhere.
     walls : (w, 2) edges, as pairs of vertices, that the path may not touch.
-    places : (v, n) coordinates in which lengths are measured; the points themselves if None.
+    places : (v, n) coordinates in which lengths are measured; the points themselves if None. New vertices halve edges.
     avoid : further vertices that the path may not touch but at its ends.
     creases : let the path rather follow sharp edges of the surface.
     clean : see `sharp`.
@@ -168,19 +184,19 @@ def trace(
     inside = np.ones(len(surface.triangles), dtype=bool) if inside is None else inside
     places = surface.points if places is None else places
     wall = rim(surface, inside)
-    if walls is not None and len(walls):
-        wall |= np.isin(_keys(surface, surface.edges), _keys(surface, np.sort(walls, axis=1)))
+    if walls is not None:
+        wall[edge_rows(surface, walls)] = True
     blocked = np.zeros(len(surface.points), dtype=bool)
     blocked[surface.edges[wall]] = True
     if avoid is not None:
         blocked[avoid] = True
     blocked[[start, end]] = True
-    open_edges = _either(inside, surface) & ~wall
+    open_edges = inside[surface.beside].any(axis=1) & ~wall
     chords = np.flatnonzero(open_edges & blocked[surface.edges].all(axis=1))
     # The edge between start and end is itself a path.
     direct = (surface.edges[chords] == np.sort([start, end])).all(axis=1)
     if direct.any():
-        return Path(surface, np.array([start, end]), np.arange(len(surface.triangles)))
+        return Path(surface, np.array([start, end]), np.arange(len(surface.triangles)), surface.edges[:0])
     middles = surface.edges[chords]
     surface, origin = split_edges(surface, chords, surface.points[middles].mean(axis=1))
     places = np.concatenate([places, places[middles].mean(axis=1)])
@@ -188,8 +204,7 @@ def trace(
     blocked[[start, end]] = False
     inside = inside[origin]
     # The ends may not be short cuts into another region: only edges of the region itself count.
-    usable = _either(inside, surface) & ~blocked[surface.edges].any(axis=1)
-    usable &= ~(_rim_of_walls(surface, inside))
+    usable = inside[surface.beside].all(axis=1) & ~blocked[surface.edges].any(axis=1)
     ends = surface.edges[usable]
     length = np.linalg.norm(places[ends[:, 1]] - places[ends[:, 0]], axis=1) + 1e-300
     if creases:
@@ -202,24 +217,7 @@ def trace(
         vertices.append(int(before[vertices[-1]]))
         if vertices[-1] < 0:
             raise InputError(f"no path leads from vertex {start} to vertex {end} without crossing another path")
-    return Path(surface, np.array(vertices[::-1], dtype=np.int64), origin)
-
-
-def _either(inside: Mask, surface: Surface) -> Mask:
-    return np.asarray(inside[surface.beside[:, 0]] | inside[surface.beside[:, 1]])
-
-
-def _both(inside: Mask, surface: Surface) -> Mask:
-    return np.asarray(inside[surface.beside[:, 0]] & inside[surface.beside[:, 1]])
-
-
-def _rim_of_walls(surface: Surface, inside: Mask) -> Mask:
-    """Edges whose two sides are not both in the region."""
-    return np.asarray(~_both(inside, surface))
-
-
-def _keys(surface: Surface, ends: Index) -> Index:
-    return np.asarray(ends[:, 0] * len(surface.points) + ends[:, 1])
+    return Path(surface, np.array(vertices[::-1], dtype=np.int64), origin, middles)
 
 
 def straight(surface: Surface, inside: Mask, places: Array, start: int, end: int) -> Path:
@@ -235,7 +233,7 @@ def straight(surface: Surface, inside: Mask, places: Array, start: int, end: int
     ------
     InputError : the segment could not be followed (the parametrisation is not one to one).
     """
-    for snap in (SNAP, 1e-3):
+    for snap in (SNAP, LEAST_SHARE):
         steps = _walk(surface, inside, places, start, end, snap)
         if steps is not None:
             break
@@ -250,7 +248,7 @@ def straight(surface: Surface, inside: Mask, places: Array, start: int, end: int
         vertices.append(new if share >= 0 else entity)
         new += share >= 0
     made, origin = split_edges(surface, edges, ends[:, 0] * (1 - shares) + ends[:, 1] * shares)
-    return Path(made, np.array(vertices, dtype=np.int64), origin)
+    return Path(made, np.array(vertices, dtype=np.int64), origin, surface.edges[edges])
 
 
 def _walk(
@@ -295,14 +293,14 @@ def _walk(
         a, b = surface.edges[exit_edge]
         one, two = _cross(way, places[a] - here), _cross(way, places[b] - here)
         share = one / (one - two) if one != two else 0.5
-        if not -1e-9 <= share <= 1 + 1e-9:
+        if not -ASTRAY <= share <= 1 + ASTRAY:
             return None
         nearest = int(a if share < 0.5 else b)
         if min(share, 1 - share) < snap and not border[nearest]:
             vertex, here = nearest, places[nearest]
             steps.append((vertex, -1.0))
             continue
-        share = min(max(share, 1e-3), 1 - 1e-3)
+        share = min(max(share, LEAST_SHARE), 1 - LEAST_SHARE)
         here = places[a] * (1 - share) + places[b] * share
         steps.append((exit_edge, float(share)))
         across = beside[exit_edge]
@@ -314,4 +312,5 @@ def _walk(
 
 
 def _cross(a: Array, b: Array) -> float:
+    """Cross product of two vectors (2,)."""
     return float(a[0] * b[1] - a[1] * b[0])

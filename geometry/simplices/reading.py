@@ -32,8 +32,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 ENDINGS = (".stl", ".obj", ".off", ".ply")
-#: Points of STL files closer than this part of the largest coordinate are one: a few roundings to single precision.
 ROUNDING = 4 * 2.0**-23
+"""Points of STL files closer than this part of the largest coordinate are one: a few roundings to single precision."""
 
 
 class _Ending(io.BytesIO):
@@ -138,7 +138,7 @@ def _raw(path: Path) -> tuple[Array, Index, dict[str, Any]]:
 
 
 def _cut(points: Array, quads: Index) -> Index:
-    """Two triangles per quadrilateral, along the shorter diagonal."""
+    """Two triangles per quadrilateral, along the shorter diagonal; numbers out of range are left for the check."""
     if not ((quads >= 0) & (quads < len(points))).all():
         return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     length = np.linalg.norm(points[quads[:, [2, 3]]] - points[quads[:, [0, 1]]], axis=2)
@@ -206,11 +206,10 @@ def _equal_points(points: Array, triangles: Index) -> tuple[Array, Index]:
 
 def _split_fans(points: Array, triangles: Index) -> tuple[Array, Index]:
     """Give each fan of triangles its own vertex, if every edge has two triangles; leave others alone."""
-    ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-    inverse, count = np.unique(ends[:, 0] * len(points) + ends[:, 1], return_inverse=True, return_counts=True)[1:]
-    if (count != 2).any():
+    edge_of = Surface(points, triangles).edge_of
+    if (np.bincount(edge_of.ravel()) != 2).any():
         return points, triangles
-    fan = fans(triangles, inverse.reshape(-1, 3), len(count))
+    fan = fans(triangles, edge_of)
     first, number = np.unique(fan, return_index=True, return_inverse=True)[1:]
     if len(first) == len(np.unique(triangles)):
         return points, triangles

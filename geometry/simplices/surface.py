@@ -24,14 +24,14 @@ from iga.errors import InputError
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-#: Triangles lower than this part of their longest edge count as degenerate.
 FLAT = 1e-9
-#: Coordinates beyond this are taken for errors; products of three of them must not overflow.
+"""Triangles lower than this part of their longest edge count as degenerate."""
 LARGEST = 1e90
-#: Degrees between the normals at an edge from which on it is a crease.
+"""Coordinates beyond this are taken for errors; products of three of them must not overflow."""
 CREASE = 40.0
-#: There are creases if they are this much longer than the edges at which the surface turns by a fourth of that or more.
+"""Degrees between the normals at an edge from which on it is a crease."""
 CLEAN = 2.0
+"""There are creases if they are this much longer than edges at which the surface turns by a fourth of that or more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Surface:
 
     @cached_property
     def _edge_table(self) -> tuple[Index, Index]:
-        ends = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+        ends = np.sort(half_edges(self.triangles), axis=1)
         keys, inverse = np.unique(ends[:, 0] * len(self.points) + ends[:, 1], return_inverse=True)
         return np.stack(np.divmod(keys, len(self.points)), axis=1), inverse.reshape(-1, 3)
 
@@ -77,6 +77,31 @@ class Surface:
     def diagonal(self) -> float:
         """Length of the diagonal of the bounding box."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+
+def half_edges(triangles: Index) -> Index:
+    """(3 t, 2) vertices of the sides of triangles (t, 3), in their order: from corner 0 to 1, 1 to 2, 2 to 0."""
+    return triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+
+
+def edge_rows(surface: Surface, ends: Index) -> Index:
+    """Rows (k,) of ``surface.edges`` that join pairs of vertices (k, 2), given in any order.
+
+    Raises
+    ------
+    InputError : no edge joins a pair.
+    """
+    factors = np.array([len(surface.points), 1])
+    keys, wanted = surface.edges @ factors, np.sort(ends, axis=1) @ factors
+    row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    if (apart := np.flatnonzero(keys[row] != wanted)).size:
+        raise InputError(f"no edge of the surface joins the vertices {ends[apart[0], 0]} and {ends[apart[0], 1]}")
+    return row
+
+
+def doubled_normals(corners: Array) -> Array:
+    """Normals (t, 3) of triangles with corners (t, 3, 3), twice as long as the triangles' areas."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def euler_characteristic(surface: Surface) -> int:
@@ -97,8 +122,7 @@ def volume(surface: Surface) -> float:
 
 def area_vectors(surface: Surface) -> Array:
     """Normals (t, 3) as long as the triangles' areas."""
-    corners = surface.points[surface.triangles]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0
+    return doubled_normals(surface.points[surface.triangles]) / 2.0
 
 
 def sharp(surface: Surface, clean: float = CLEAN) -> NDArray[np.bool_]:
@@ -142,7 +166,7 @@ def checked_surface(points: Array, triangles: Index, crossings: bool = False) ->
         report["unused_vertices"] = len(points) - len(used)
     surface = Surface(np.ascontiguousarray(points[used]), np.searchsorted(used, triangles).astype(np.int64))
     _require_vertices(surface, used)
-    shells = shells_of(surface.edge_of, len(surface.edges))
+    shells = shells_of(surface)
     if shells.max() > 0:
         sizes = np.bincount(shells).tolist()
         raise InputError(
@@ -187,7 +211,7 @@ def require_numbers(points: Array, triangles: Index) -> None:
 
 
 def degenerate(points: Array, triangles: Index) -> NDArray[np.bool_]:
-    """Whether each triangle (t,) has no area to speak of."""
+    """Whether each triangle (t,) is lower than `FLAT` times its longest edge."""
     corners = points[triangles]
     sides = np.roll(corners, -1, axis=1) - corners
     # Scaled first: tiny solids have tiny areas.
@@ -207,7 +231,7 @@ def _require_edges(points: Array, triangles: Index) -> None:
             f"triangle {flat[0]} with vertices {a}, {b}, {c} is degenerate ({len(flat)} in all); "
             "remove such triangles or build with mend=true"
         )
-    half = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    half = half_edges(triangles)
     low, high = half.min(axis=1), half.max(axis=1)
     first, inverse, count = np.unique(
         low * len(points) + high, return_index=True, return_inverse=True, return_counts=True
@@ -235,8 +259,13 @@ def _require_edges(points: Array, triangles: Index) -> None:
         )
 
 
-def fans(triangles: Index, edge_of: Index, edges: int) -> Index:
-    """Fan (t, 3) of every triangle corner: corners in one fan are joined by edges at their common vertex."""
+def fans(triangles: Index, edge_of: Index) -> Index:
+    """Fan (t, 3) of every triangle corner: corners in one fan are joined by edges at their common vertex.
+
+    Parameters
+    ----------
+    triangles, edge_of : (t, 3) vertices, and edges as in `Surface`; every edge has two triangles.
+    """
     corner = np.arange(3 * len(triangles)).reshape(-1, 3)
     # Each edge joins, at either end, a corner of the one triangle with a corner of the other.
     here = np.concatenate([corner, np.roll(corner, -1, axis=1)]).ravel()
@@ -250,8 +279,8 @@ def fans(triangles: Index, edge_of: Index, edges: int) -> Index:
 
 
 def _require_vertices(surface: Surface, names: Index) -> None:
-    """The triangles around a vertex are one fan."""
-    fan = fans(surface.triangles, surface.edge_of, len(surface.edges))
+    """The triangles around a vertex are one fan; ``names`` (v,) are the vertices' numbers in the input."""
+    fan = fans(surface.triangles, surface.edge_of)
     if fan.max() + 1 == len(surface.points):
         return
     pairs = np.unique(np.stack([surface.triangles.ravel(), fan.ravel()], axis=1), axis=0)
@@ -263,9 +292,9 @@ def _require_vertices(surface: Surface, names: Index) -> None:
     )
 
 
-def shells_of(edge_of: Index, edges: int) -> Index:
+def shells_of(surface: Surface) -> Index:
     """Shell (t,) of each triangle: triangles are joined by edges."""
-    count = len(edge_of)
+    edge_of, count, edges = surface.edge_of, len(surface.triangles), len(surface.edges)
     number = np.repeat(np.arange(count), 3)
     link = coo_array((np.ones(3 * count, dtype=np.int8), (number, count + edge_of.ravel())), shape=(count + edges,) * 2)
     return connected_components(link, directed=False)[1][:count].astype(np.int64)

@@ -124,14 +124,18 @@ def test_traced_paths_do_not_touch_walls():
     surface, _ = box(2)
     corner = int(np.argmin((surface.points**2).sum(axis=1)))
     far = int(np.argmax((surface.points**2).sum(axis=1)))
-    first = trace(surface, corner, far)
-    walls = np.stack([first.vertices[:-1], first.vertices[1:]], axis=1)
-    second = trace(first.surface, corner, far, walls=walls)
-    third = trace(second.surface, corner, far, walls=np.concatenate(
-        [walls, np.stack([second.vertices[:-1], second.vertices[1:]], axis=1)]))
-    inner = [set(path.vertices[1:-1].tolist()) for path in (first, second, third)]
-    assert len(inner[0] | inner[1] | inner[2]) == sum(len(path) for path in inner)
-    assert abs(volume(third.surface) - 1) < 1e-14
+    walls, inner, split = np.zeros((0, 2), dtype=np.int64), [], 0
+    for _ in range(5):
+        path = trace(surface, corner, far, walls=walls)
+        # New vertices are in the middle of the edges that they split.
+        assert (path.surface.points[len(surface.points) :] == surface.points[path.split].mean(axis=1)).all()
+        assert path.length >= np.sqrt(3)
+        surface, walls = path.surface, np.concatenate([walls, path.edges])
+        inner.append(path.vertices[1:-1])
+        split += len(path.split)
+    assert split > 0
+    assert len(np.unique(np.concatenate(inner))) == sum(map(len, inner))
+    assert abs(volume(surface) - 1) < 1e-14
 
 
 def test_straight_paths_are_straight():

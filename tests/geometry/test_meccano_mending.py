@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -209,3 +210,16 @@ def test_the_scanned_bunny(data):
     assert report["mended"]["edges_around_them"] == 223
     assert len(surface.triangles) == 69451 + 223 - 10
     assert report["genus"] == 0
+
+
+def test_a_long_border_is_followed_in_one_pass():
+    """A sheet with 40000 edges on its border: looking back along the path for each vertex would take minutes."""
+    n = 20000
+    x = np.arange(n + 1.0)
+    points = np.concatenate([np.stack([x, 0 * x, 0 * x], axis=1), np.stack([x, 0 * x + 1, 0 * x], axis=1)])
+    low, up = np.arange(n), n + 1 + np.arange(n)
+    strip = np.concatenate([np.stack([low, low + 1, up + 1], axis=1), np.stack([low, up + 1, up], axis=1)])
+    began = perf_counter()
+    (hole,) = holes(points, strip)
+    assert len(hole.loop) == 2 * n + 2
+    assert perf_counter() - began < 10.0

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from geometry.simplices.closest import closest
 from geometry.simplices.distance import distances, samples
 from geometry.simplices.reading import read_surface, reads
-from geometry.simplices.surface import Surface, checked_surface, genus, volume
+from geometry.simplices.surface import Surface, checked_surface, edge_rows, genus, volume
 from iga.errors import FormatError, InputError
 
 OCTAHEDRON = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
@@ -301,3 +301,14 @@ def test_models_that_bound_no_solid(data):
     assert (report["vertices"], report["genus"], report["crossing_pairs"]) == (2762, 0, 83)
     with pytest.raises(InputError, match="223 such edges"):
         read_surface(data / "surface" / "stanford_bunny_69k.obj")
+
+
+def test_edges_are_found_by_their_vertices():
+    points, triangles = ball(2)
+    surface = Surface(points, triangles)
+    pairs = np.roll(surface.edges[::-3], 1, axis=1)
+    assert (surface.edges[edge_rows(surface, pairs)] == surface.edges[::-3]).all()
+    assert edge_rows(surface, pairs[:0]).shape == (0,)
+    far = int(np.argmax(np.linalg.norm(points - points[0], axis=1)))
+    with pytest.raises(InputError, match=f"no edge of the surface joins the vertices {far} and 0$"):
+        edge_rows(surface, np.array([pairs[0], (far, 0)]))
