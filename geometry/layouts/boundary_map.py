@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from geometry.layouts.blocks import Blocks
 from geometry.layouts.layout import SQUARE, Layout, patch_loop, round_corners
 from geometry.simplices.mean_value import area_stretch, flipped, mean_value
-from geometry.simplices.paths import without_chords
+from geometry.simplices.paths import chord_shares, without_chords
 from geometry.simplices.surface import Surface
 from geometry.tree import Tree, triangle_tree
 from iga.errors import InputError
@@ -118,6 +118,7 @@ def _evaluate(
     side: Index, s: Array, tree: Tree, sides: Index, parameters: Array, points: Array, triangles: Index,
     offsets: Index, ends: Array, vertices: Index, owners: Index,
 ) -> tuple[Array, Index, Array]:
+    """Points (q, 3), triangles (q,) and by how much each point misses its triangle (q,), 0 or less if it does not."""
     count = len(s)
     result, found, miss = np.empty((count, 3)), np.full(count, -1, dtype=np.int64), np.zeros(count)
     weight = np.empty(3)
@@ -160,7 +161,10 @@ def _evaluate(
 def _find(
     side: int, x: float, y: float, tree: Tree, sides: Index, parameters: Array, weight: Array
 ) -> tuple[int, float]:
-    """Triangle of a side around a point, least barycentric coordinate; weights are left in ``weight``."""
+    """Triangle of a side around a point or nearest to it, or -1, and the point's least barycentric coordinate in it.
+
+    All three coordinates are left in ``weight``.
+    """
     best, least = -1, -np.inf
     stack = np.empty(128, dtype=np.int64)
     stack[0] = 0
@@ -256,8 +260,7 @@ def _square(points: Array, loop: Index, marks: Index, corners: Index) -> Array:
         forward = corners[i] < corners[(i + 1) % 4]
         # Sums run from the lower corner on, whichever side asks.
         chain = closed[a : b + 1] if forward else closed[a : b + 1][::-1]
-        travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[chain], axis=0), axis=1))])
-        t = np.round(travelled / travelled[-1] / GRAIN) * GRAIN
+        t = np.round(chord_shares(points[chain]) / GRAIN) * GRAIN
         if (np.diff(t) <= 0).any():
             raise InputError(f"an edge of the border from vertex {chain[0]} to vertex {chain[-1]} is too short")
         share = t if forward else 1.0 - t[::-1]

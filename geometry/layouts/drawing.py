@@ -22,8 +22,9 @@ from geometry.layouts.blocks import Blocks
 from geometry.layouts.creases import Attraction, attracted
 from geometry.layouts.frame import Frame
 from geometry.layouts.layout import Layout
-from geometry.simplices.mean_value import mean_value
+from geometry.simplices.mean_value import mean_value, signed_areas
 from geometry.simplices.overlay import Curve, Curves, Overlay, across_sides, join, overlay, positions, split, spread
+from geometry.simplices.paths import chord_shares
 from geometry.simplices.surface import Surface
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
@@ -31,8 +32,8 @@ from iga.progress import QUIET, Progress
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-
-REWEIGHTING = 1  # rounds of widening what is small in the disk, so that patches are even
+REWEIGHTING = 1
+"""Rounds of widening what is small in the disk, so that patches are even."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +102,6 @@ def layout_of(drawing: Drawing, blocks: Blocks) -> Layout:
     return Layout(blocks, Surface(cut.points, cut.triangles), side[region], corner)
 
 
-def _chord_share(points: Array) -> Array:
-    """Chord length (b,) along points (b, 3), over the whole length."""
-    length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
-    return np.asarray(length / length[-1])
-
-
 def _regions(cut: Overlay) -> Index:
     """Number (t,) of the region between curves that holds each triangle."""
     t, i = np.nonzero(cut.curve < 0)
@@ -172,10 +167,10 @@ def _star(
     angles = np.empty(len(loop))
     points = cut.points[used]
     for j, (a, b) in enumerate(zip(posts, [*posts[1:], len(loop)], strict=True)):
-        share = _chord_share(points[np.append(loop, loop[0])[a : b + 1]])
+        share = chord_shares(points[np.append(loop, loop[0])[a : b + 1]])
         angles[a:b] = np.pi / len(cycle) * (j + share[:-1])
     places = mean_value(points, local, loop, np.stack((np.cos(angles), np.sin(angles)), axis=1), REWEIGHTING)
-    if (_doubled(places[local]) <= 0).any():
+    if (signed_areas(places[local]) <= 0).any():
         return None
 
     # The corner may not be a neighbour of another corner on the surface, nor lie on the border.
@@ -208,13 +203,9 @@ def _star(
     return vertex, new
 
 
-def _doubled(corners: Array) -> Array:
-    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return np.asarray(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
-
-
 @njit(cache=True)
 def _chain(after, start, count):  # type: ignore[no-untyped-def]
+    """So many vertices, each the one after the last, from ``start`` on."""
     result = np.empty(count, dtype=np.int64)
     node = start
     for b in range(count):

@@ -91,5 +91,5 @@ def frame_of(blocks: Blocks) -> Frame:
         where = places[ends[members.argmax()]].tolist()
         raise InputError(f"the meccano's boundary touches itself along the edge from {where[0]} to {where[1]}")
     frame = Frame(used, places, corners, ends, number.reshape(-1, 4), both[:, :, 0] < both[:, :, 1])
-    _ = frame.around
+    _ = frame.around  # raises where the boundary touches itself at a corner
     return frame

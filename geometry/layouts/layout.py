@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 
 from geometry.layouts.blocks import Blocks
 from geometry.simplices.mean_value import mean_value
-from geometry.simplices.paths import Path, loop_of, straight, trace, without_chords
+from geometry.simplices.paths import Path, chord_shares, loop_of, straight, trace, without_chords
 from geometry.simplices.surface import CLEAN, Surface, area_vectors, edge_rows, sharp
 from iga.cells import QUADRILATERAL
 from iga.errors import InputError
@@ -104,13 +104,10 @@ def polygon(points: Array, loop: Index, marks: Index, corners: Array) -> Array:
     loop, marks : (b,) vertices and the increasing positions in it, the first being 0, of the polygon's corners.
     corners : (m, 2) the polygon.
     """
-    closed = np.append(loop, loop[0])
-    length = np.linalg.norm(np.diff(points[closed], axis=0), axis=1)
-    ends = np.append(marks, len(loop))
+    closed, ends = np.append(loop, loop[0]), np.append(marks, len(loop))
     places = np.empty((len(loop), 2))
     for i, (a, b) in enumerate(pairwise(ends)):
-        travelled = np.concatenate([[0.0], np.cumsum(length[a:b])])
-        share = (travelled / travelled[-1])[: b - a, None]
+        share = chord_shares(points[closed[a : b + 1]])[:-1, None]
         places[a:b] = corners[i] * (1 - share) + corners[(i + 1) % len(corners)] * share
     return places
 

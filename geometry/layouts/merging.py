@@ -130,6 +130,7 @@ def fewer_layers(
 
 
 def _reduced(inside: Flags, first: list[Index]) -> Flags:
+    """One of each group of layers that begin with ``first`` along each axis."""
     for axis, starts in enumerate(first):
         inside = np.take(inside, starts[:-1], axis=axis)
     return inside

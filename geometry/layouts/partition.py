@@ -101,14 +101,17 @@ def _found(surface: Surface, blocks: Blocks, rounds: int, progress: Progress) ->
     """
     coarse = _simplified(surface)
     best: tuple[float, Layout] | None = None
+    layout: Layout | None = None
     reason = ""
     for turn, k in progress.track([(turn, k) for turn in (False, True) for k in range(rounds + 1)], "patches"):
         try:
             if k == 0:
+                layout = None  # should these corners not be joined, there is nothing to move in the next rounds
                 layout = _connected(coarse, blocks, _extremes(coarse, turn))
-            else:
-                for n in range(8):
-                    layout = centre_corner(layout, n, REWEIGHTING, STEP)
+            if layout is None:
+                continue
+            for n in range(8 if k else 0):
+                layout = centre_corner(layout, n, REWEIGHTING, STEP)
             layout = _straightened(layout, False)
             cost = price(boundary_map(layout)[0])
         except InputError as error:

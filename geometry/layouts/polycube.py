@@ -30,11 +30,16 @@ from iga.progress import QUIET, Progress
 
 Index = NDArray[np.int64]
 
-PER_SIDE = 200  # triangles at least for each side of the polycube, so that there is room for its edges
-SLENDER = 0.1  # share inside from which on a voxel belongs to a polycube that follows thin limbs
-THREAD = 0.03  # the same for limbs much thinner than the voxels that are asked for
-REACH = 0.6  # voxels' sides that the surface may be away from such a polycube
-BEYOND = 1.0  # voxels along the longest axis by which finer ones are compared
+PER_SIDE = 200
+"""Triangles at least for each side of the polycube, so that there is room for its edges."""
+SLENDER = 0.1
+"""Share inside from which on a voxel belongs to a polycube that follows thin limbs."""
+THREAD = 0.03
+"""The same for limbs much thinner than the voxels that are asked for."""
+REACH = 0.6
+"""Voxels' sides that the surface may be away from such a polycube."""
+BEYOND = 1.0
+"""Voxels along the longest axis by which finer ones are compared."""
 
 
 def polycube_layout(
@@ -52,7 +57,7 @@ def polycube_layout(
 
     Returns
     -------
-    The division and a report: what `voxelise` and `balance` say.
+    The division and a report: what `voxels.Fitted`, `merged` and `balance` say.
 
     Raises
     ------
@@ -60,7 +65,8 @@ def polycube_layout(
     """
     report: dict[str, Any] = {}
     if voxels is None:
-        voxels, report = voxelise(surface, progress=progress)
+        fitted = voxelise(surface, progress=progress)
+        voxels, report = fitted.voxels, fitted.report()
         if sharp(surface).any():
             voxels, fewer = merged(surface, voxels, progress)
             report |= fewer
@@ -103,11 +109,11 @@ def slender_map(
         inside, tell legs apart.
     """
     if resolution is None:
-        voxels, report = voxelise(surface, progress=progress, fullness=SLENDER, reach=REACH, beyond=BEYOND)
+        fitted = voxelise(surface, progress=progress, fullness=SLENDER, reach=REACH, beyond=BEYOND)
     else:
-        voxels, report = voxelise(surface, resolution, progress=progress, fullness=THREAD)
-    mapping, quality = polycube_map(surface, voxels, sweeps=2, limit=limit, progress=progress)
-    return mapping, report | quality
+        fitted = voxelise(surface, resolution, progress=progress, fullness=THREAD)
+    mapping, quality = polycube_map(surface, fitted.voxels, sweeps=2, limit=limit, progress=progress)
+    return mapping, fitted.report() | quality
 
 
 def polycube_map(

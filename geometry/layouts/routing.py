@@ -32,7 +32,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 ROUNDS = 400
-CROSSING = 30.0  # price of crossing a curve, in mean edges of the frame
+"""Rounds in which edges are drawn and taken away again; real models take some tens."""
+CROSSING = 30.0
+"""Price of crossing a curve, in mean edges of the frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +71,7 @@ def route(surface: Surface, frame: Frame, corners: Index, guides: Guides, progre
         names = list(drawn)
         curves = join(drawn.values())
         cut = overlay(surface, curves)
-        around = _Around(cut, frame, names, corners)
+        around = _around(cut, frame, names, corners)
         # Curves of one round stay out of each other's triangles and corners, so that none is in another's way.
         taken = np.zeros(len(surface.triangles), dtype=bool)
         busy: set[int] = set()
@@ -114,16 +116,21 @@ def route(surface: Surface, frame: Frame, corners: Index, guides: Guides, progre
     )
 
 
+@dataclass(frozen=True, eq=False)
 class _Around:
-    """Triangles of an overlay around the corners of a frame."""
+    """Triangles of an overlay around the corners of a frame.
 
-    def __init__(self, cut: Overlay, frame: Frame, names: list[int], corners: Index) -> None:
-        self.cut, self.frame, self.corners = cut, frame, corners
-        self.place = {name: position for position, name in enumerate(names)}
-        order = np.argsort(cut.triangles.ravel(), kind="stable")
-        first = np.searchsorted(cut.triangles.ravel()[order], corners)
-        last = np.searchsorted(cut.triangles.ravel()[order], corners, "right")
-        self.touching = [order[a:b] for a, b in zip(first, last, strict=True)]
+    Attributes
+    ----------
+    cut, frame : the overlay with the edges of the frame drawn so far.
+    place : which curve of the overlay each drawn edge is.
+    touching : for each corner the triangle corners at it, as 3 (triangle) + corner.
+    """
+
+    cut: Overlay
+    frame: Frame
+    place: dict[int, int]
+    touching: list[Index]
 
     def sector(self, p: int, end: int) -> Index:
         """Triangles around an end of edge p between the drawn edges before and after it in the cyclic order."""
@@ -144,6 +151,15 @@ class _Around:
                 return np.array(result, dtype=np.int64)
             side = int(self.cut.across.ravel()[back])
             result.append(side // 3)
+
+
+def _around(cut: Overlay, frame: Frame, names: list[int], corners: Index) -> _Around:
+    """Triangles around the corners, vertices (v,); ``names`` are the edges along the curves of the overlay."""
+    order = np.argsort(cut.triangles.ravel(), kind="stable")
+    first = np.searchsorted(cut.triangles.ravel()[order], corners)
+    last = np.searchsorted(cut.triangles.ravel()[order], corners, "right")
+    touching = [order[a:b] for a, b in zip(first, last, strict=True)]
+    return _Around(cut, frame, {name: position for position, name in enumerate(names)}, touching)
 
 
 @njit(cache=True)
@@ -201,6 +217,7 @@ def _search(points, triangles, across, curve, sources, targets, guide, normals, 
 
 @njit(cache=True)
 def _weigh(points, corners, guide, normals, size, factor, centre, t):  # type: ignore[no-untyped-def]
+    """Centre of triangle t and the factor by which steps in it are longer (see the module), into the tables."""
     a, b, c = points[corners[0]], points[corners[1]], points[corners[2]]
     middle = (a + b + c) / 3.0
     u, v = b - a, c - a

@@ -10,6 +10,7 @@ Axis letters: i j k voxel.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numba import njit
@@ -42,12 +43,17 @@ def topology(inside: Flags) -> Topology:
     return Topology(*(int(value) for value in topology_of(np.pad(inside, 1), smooth_points())))
 
 
+@cache
 def smooth_points() -> Flags:
     """(256,) whether the boundary is a manifold at a grid point with these voxels of the eight around it."""
-    return _connected_among_eight() & _connected_among_eight()[::-1]
+    connected = _connected_among_eight()
+    smooth = connected & connected[::-1]
+    smooth.setflags(write=False)
+    return smooth
 
 
 def _connected_among_eight() -> Flags:
+    """(256,) whether these voxels of the eight around a grid point are connected through faces."""
     result = np.ones(256, dtype=bool)
     for pattern in range(256):
         members = [v for v in range(8) if pattern >> v & 1]

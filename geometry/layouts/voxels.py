@@ -16,6 +16,7 @@ Axis letters: v vertex, t triangle, i j k voxel.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -36,11 +37,18 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-LINES = 6  # lines per voxel and direction along which the inside is measured
-THRESHOLDS = (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # first sets: voxels with more than this share inside
-SMOOTHING = 0.1  # lambda / 6
-FINE = 60  # fine voxels along the longest axis, on which the place of handles is judged
-COARSEST, FINEST = 3.0, 14.0  # voxels along the solid's longest axis
+LINES = 6
+"""Lines per voxel and direction along which the inside is measured."""
+THRESHOLDS = (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+"""First sets: voxels with more than this share inside."""
+SMOOTHING = 0.1
+"""lambda / 6."""
+FINE = 60
+"""Fine voxels along the longest axis, on which the place of handles is judged."""
+COARSEST, FINEST = 3.0, 14.0
+"""Voxels along the solid's longest axis."""
+LARGEST_GRID = 10**7
+"""Most voxels of a grid around cuboids: a hundred times what a meccano can have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +73,33 @@ class Voxels:
         return float(np.mean(sides))
 
 
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Voxels found for a solid, and how well they fit.
+
+    Attributes
+    ----------
+    voxels : the set.
+    faces : faces on its boundary.
+    resolution : voxels along the solid's longest axis.
+    mismatch : volume between the set and the solid, as a share of the solid's.
+    reach : largest distance of the surface from the set along an axis, in voxels' sides.
+    """
+
+    voxels: Voxels
+    faces: int
+    resolution: float
+    mismatch: float
+    reach: float
+
+    def report(self) -> dict[str, float]:
+        """Numbers for the report of a build."""
+        return {
+            "voxels": len(self.voxels.cells), "boundary_sides": self.faces, "resolution": self.resolution,
+            "mismatch": self.mismatch, "reach": self.reach,
+        }
+
+
 def place(voxels: Voxels, corners: Array) -> Array:
     """Points (v, 3) in space of grid points (v, 3)."""
     whole = corners.astype(np.int64)
@@ -74,7 +109,7 @@ def place(voxels: Voxels, corners: Array) -> Array:
 def voxelise(
     surface: Surface, resolution: float | None = None, mismatch: float = 0.53, progress: Progress = QUIET,
     fullness: float = 0.5, reach: float = np.inf, beyond: float = 0.0,
-) -> tuple[Voxels, dict[str, Any]]:
+) -> Fitted:
     """Voxels with the topology of the solid inside a surface.
 
     Parameters
@@ -87,10 +122,6 @@ def voxelise(
     beyond : by how many voxels along the longest axis finer sets that will do as well are compared; the set with the
         least mismatch is taken.
 
-    Returns
-    -------
-    The voxels and a report: voxels, boundary_sides, resolution, mismatch and reach.
-
     Raises
     ------
     InputError : no set of voxels has the solid's topology.
@@ -99,27 +130,24 @@ def voxelise(
     tried = np.arange(COARSEST, FINEST + 0.25, 0.5) if resolution is None else np.array([float(resolution)])
     if not (tried > 0).all() or not (tried <= 4 * FINEST).all():
         raise InputError(f"a resolution is a number of voxels between 0 and {4 * FINEST:g}, not {resolution}")
-    best: tuple[float, Voxels, dict[str, Any]] | None = None
-    will_do: tuple[float, Voxels, dict[str, Any]] | None = None
+    found: list[Fitted] = []
     last = np.inf
     for number in progress.track(tried.tolist(), "voxels"):
-        found = _on_grids(surface, handles, rotation, number, fullness)
-        if found is not None and (best is None or found[0] < best[0]):
-            best = found
-        if found is not None and found[0] <= mismatch and found[2]["reach"] <= reach:
-            last = min(last, number + beyond)
-            if will_do is None or found[0] < will_do[0]:
-                will_do = found
+        fitted = _on_grids(surface, handles, rotation, number, fullness)
+        if fitted is not None:
+            found.append(fitted)
+            if fitted.mismatch <= mismatch and fitted.reach <= reach:
+                last = min(last, number + beyond)
         if number >= last:
             break
-    best = best if will_do is None else will_do
-    if best is None:
+    if not found:
         where = f"{tried[0]:g} to {tried[-1]:g} voxels" if len(tried) > 1 else f"{tried[0]:g} voxels"
         raise InputError(
             f"no set of voxels has the surface's genus {handles} with {where} along the longest axis; "
             "give another resolution or cuboids"
         )
-    return best[1], best[2]
+    will_do = [one for one in found if one.mismatch <= mismatch and one.reach <= reach]
+    return min(will_do or found, key=lambda one: one.mismatch)
 
 
 def cuboids(surface: Surface, boxes: Index) -> Voxels:
@@ -131,17 +159,23 @@ def cuboids(surface: Surface, boxes: Index) -> Voxels:
 
     Raises
     ------
-    InputError : a cuboid is empty, or the union does not have the surface's topology.
+    InputError : a cuboid is empty, the grid around all is too large, or the union does not have the surface's topology.
     """
     boxes = np.asarray(boxes)
-    if boxes.ndim != 3 or boxes.shape[1:] != (2, 3) or not len(boxes) or (boxes != np.round(boxes)).any():
+    if boxes.ndim != 3 or boxes.shape[1:] != (2, 3) or not len(boxes):
         raise InputError(f"cuboids are given as integers (n, 2, 3), lowest and highest corner, not as {boxes.shape}")
+    broken = np.flatnonzero(((boxes != np.round(boxes)) | ~(np.abs(boxes) <= LARGEST_GRID)).any(axis=(1, 2)))
+    if len(broken):
+        corners = boxes[broken[0]].tolist()
+        raise InputError(f"cuboid {broken[0]} has corners {corners}, which are no whole numbers up to {LARGEST_GRID}")
     boxes = boxes.astype(np.int64)
     empty = np.flatnonzero((boxes[:, 0] >= boxes[:, 1]).any(axis=1))
     if len(empty):
         lower, upper = boxes[empty[0]].tolist()
         raise InputError(f"cuboid {empty[0]} from {lower} to {upper} is empty")
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    if (size := math.prod((high - low).tolist())) > LARGEST_GRID:
+        raise InputError(f"cuboids span {size:.0e} unit cubes, more than {LARGEST_GRID:.0e}; use smaller numbers")
     inside = np.zeros(high - low, dtype=bool)
     for lower, upper in boxes - low:
         inside[tuple(slice(a, b) for a, b in zip(lower, upper, strict=True))] = True
@@ -169,8 +203,8 @@ def require_topology(inside: Flags, handles: int) -> None:
 
 def _on_grids(
     surface: Surface, handles: int, rotation: Array, number: float, fullness: float
-) -> tuple[float, Voxels, dict[str, Any]] | None:
-    """Mismatch, voxels and report of the best set on grids with so many voxels along the longest axis."""
+) -> Fitted | None:
+    """The best set on grids with so many voxels along the longest axis; None if there is none."""
     points = surface.points @ rotation.T
     low, high = points.min(axis=0), points.max(axis=0)
     spacing = float((high - low).max()) / number
@@ -190,12 +224,10 @@ def _on_grids(
                 found[key] = energy + SMOOTHING * faces, energy / share.sum(), faces, origin, inside
     for _, mismatch, faces, origin, inside in sorted(found.values(), key=lambda one: one[0]):
         if handles == 0 or lies_like(surface, rotation, origin, spacing, inside):
-            report = {
-                "voxels": int(inside.sum()), "boundary_sides": int(faces), "resolution": number,
-                "mismatch": float(mismatch), "reach": _reach((points - origin) / spacing, inside),
-            }
             x, y, z = (start + spacing * np.arange(n + 1) for start, n in zip(origin, shape, strict=True))
-            return mismatch, Voxels(np.argwhere(inside), rotation, (x, y, z)), report
+            voxels = Voxels(np.argwhere(inside), rotation, (x, y, z))
+            reach = _reach((points - origin) / spacing, inside)
+            return Fitted(voxels, int(faces), number, float(mismatch), reach)
     return None
 
 
@@ -244,6 +276,7 @@ def shares(surface: Surface, rotation: Array, origin: Array, spacing: float, sha
 
 
 def _turn(quaternion: Array) -> Array:
+    """Rotation (3, 3) of a quaternion (4,) of any length but 0."""
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

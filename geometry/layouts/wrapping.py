@@ -15,15 +15,18 @@ from scipy.spatial import cKDTree
 
 from geometry.layouts.frame import Frame
 from geometry.layouts.routing import Guides
-from geometry.simplices.surface import Surface, area_vectors
+from geometry.simplices.surface import Surface, area_vectors, doubled_normals
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 STEPS = 8
-ROUNDS = 80  # of smoothing; from four fifths of them on, points lie on the surface
-FACING = 0.5  # distance, in voxels, that a turn of the normal by one radian is worth
+"""Parts into which the sides are cut along each direction."""
+ROUNDS = 80
+"""Rounds of smoothing; from four fifths of them on, points lie on the surface."""
+FACING = 0.5
+"""Distance, in voxels, that a turn of the normal by one radian is worth."""
 
 
 def wrap(surface: Surface, frame: Frame, places: Array, size: float) -> Guides:
@@ -31,9 +34,7 @@ def wrap(surface: Surface, frame: Frame, places: Array, size: float) -> Guides:
     points, sides = _fine(frame, places)
     triangles = np.concatenate((sides[:, [0, 1, 2]], sides[:, [0, 2, 3]]))
     ends = np.unique(np.sort(np.stack((sides, np.roll(sides, -1, axis=1)), axis=2).reshape(-1, 2), axis=1), axis=0)
-    ones = np.ones(2 * len(ends))
-    rows, columns = np.concatenate((ends[:, 0], ends[:, 1])), np.concatenate((ends[:, 1], ends[:, 0]))
-    beside = csr_array(coo_array((ones, (rows, columns)), shape=(len(points), len(points))))
+    beside = _neighbours(ends, len(points))
     valence = beside.sum(axis=1)[:, None]
 
     targets = surface.points[surface.triangles].mean(axis=1)
@@ -66,7 +67,7 @@ def corner_vertices(surface: Surface, frame: Frame, guides: Guides) -> Index:
     wanted[frame.ends[:, 0]] = guides.points[:, 0]
     wanted[frame.ends[:, 1]] = guides.points[:, -1]
     tree = cKDTree(surface.points)
-    neighbours = _neighbours(surface)
+    neighbours = _neighbours(surface.edges, len(surface.points))
     free = np.ones(len(surface.points), dtype=bool)
     result = np.empty(len(wanted), dtype=np.int64)
     for v in range(len(wanted)):
@@ -84,11 +85,10 @@ def corner_vertices(surface: Surface, frame: Frame, guides: Guides) -> Index:
     return result
 
 
-def _neighbours(surface: Surface) -> csr_array:
-    a, b = surface.edges.T
-    ones = np.ones(2 * len(a), dtype=np.int8)
-    size = len(surface.points)
-    return csr_array(coo_array((ones, (np.concatenate((a, b)), np.concatenate((b, a)))), shape=(size, size)))
+def _neighbours(edges: Index, size: int) -> csr_array:
+    """Ones (size, size) where edges (k, 2) join two vertices."""
+    a, b = edges.T
+    return csr_array(coo_array((np.ones(2 * len(a)), (np.append(a, b), np.append(b, a))), shape=(size, size)))
 
 
 def _fine(frame: Frame, places: Array) -> tuple[Array, Index]:
@@ -121,12 +121,13 @@ def _along_edges(frame: Frame) -> Index:
 
 
 def _unit(vectors: Array) -> Array:
+    """Vectors (v, 3) of length one; zero stays zero."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None])
 
 
 def _point_normals(points: Array, triangles: Index) -> Array:
-    a, b, c = (points[triangles[:, corner]] for corner in range(3))
-    areas = np.cross(b - a, c - a)
+    """Unit normals (v, 3) at the points, means over the triangles around them by area."""
+    areas = doubled_normals(points[triangles])
     total: Array = np.zeros_like(points)
     for d in range(3):
         total[:, d] = np.bincount(triangles.ravel(), np.repeat(areas[:, d], 3), len(points))

@@ -311,6 +311,12 @@ def _walk(
     return None
 
 
+def chord_shares(points: Array) -> Array:
+    """Chord length (b,) from the first of points (b, 3) to each, over the whole length."""
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    return np.asarray(travelled / travelled[-1])
+
+
 def _cross(a: Array, b: Array) -> float:
     """Cross product of two vectors (2,)."""
     return float(a[0] * b[1] - a[1] * b[0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from geometry.layouts import partition as divisions
 from geometry.layouts.blocks import cube
 from geometry.layouts.boundary_map import BoundaryMap, boundary_map, on_surface
 from geometry.layouts.layout import SQUARE, Layout, balance, borders, round_corners
@@ -209,6 +210,28 @@ def test_divisions_given_wrongly_are_refused():
         partition(surface, labels=np.array([0, 2, 1, 3, 4, 5])[side])
     with pytest.raises(InputError, match="same vertex"):
         partition(surface, corners=np.zeros((8, 3)))
+
+
+@pytest.mark.parametrize("failing", [1, 2])
+def test_corners_that_cannot_be_joined(failing, monkeypatch):
+    """One choice of corners is left if the other fails; if both do, the message says what to give."""
+    calls = []
+
+    def connected(surface, blocks, chosen):
+        calls.append(chosen)
+        if len(calls) <= failing:
+            raise InputError("no path leads from vertex 1 to vertex 2")
+        return joined(surface, blocks, chosen)
+
+    joined = divisions._connected
+    monkeypatch.setattr(divisions, "_connected", connected)
+    if failing == 1:
+        layout = partition(sphere(), rounds=1)
+        assert balance(layout)["smallest_patch"] > 0.5
+    else:
+        with pytest.raises(InputError, match="could not be divided by itself, give corners or labels: no path leads"):
+            partition(sphere(), rounds=1)
+    assert len(calls) == 2
 
 
 def test_the_cube_has_six_cycles():

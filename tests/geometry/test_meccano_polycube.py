@@ -15,7 +15,8 @@ from geometry.layouts.frame import frame_of
 from geometry.layouts.layout import borders, check, round_corners
 from geometry.layouts.partition import partition, price
 from geometry.layouts.polycube import REACH, SLENDER, polycube_layout, polycube_map, slender_map
-from geometry.layouts.voxels import cuboids, place, voxelise
+from geometry.layouts.topology import topology
+from geometry.layouts.voxels import Voxels, cuboids, place, voxelise
 from geometry.meccano import source
 from geometry.meccano.settings import parse
 from geometry.meccano.shapes import ball
@@ -145,6 +146,12 @@ def test_other_topology_is_refused() -> None:
         cuboids(surface, np.array([[[0, 0, 0], [1, 1, 1]], [[1, 1, 0], [2, 2, 1]], [[0, 0, 1], [2, 2, 2]]]))
     with pytest.raises(InputError, match="cuboid 0 from"):
         cuboids(surface, np.array([[[0, 0, 0], [0, 1, 1]]]))
+    with pytest.raises(InputError, match=r"cuboid 1 has corners .*1\.5.* no whole numbers"):
+        cuboids(surface, np.array([[[0, 0, 0], [1, 1, 1]], [[0, 0, 0], [1, 1.5, 1]]]))
+    with pytest.raises(InputError, match=r"cuboid 0 has corners .*nan"):
+        cuboids(surface, np.array([[[0, 0, 0], [np.nan, 1, 1]]]))
+    with pytest.raises(InputError, match=r"cuboids span 1e\+18 unit cubes, more than 1e\+07"):
+        cuboids(surface, np.array([[[0, 0, 0], [10**6, 10**6, 10**6]]]))
     with pytest.raises(InputError, match="genus 0, but the surface has genus 1"):
         polycube_layout(surface, cuboids(sphere(1), np.array([[[0, 0, 0], [1, 1, 1]]])))
     with pytest.raises(InputError, match="no set of voxels has the surface's genus 1"):
@@ -169,6 +176,13 @@ def test_real_models(data: Path, name: str, handles: int) -> None:
     assert report["smallest_patch"] > 0.1
 
 
+def inside_of(voxels: Voxels) -> np.ndarray:
+    """Which voxels of the grid belong to the set."""
+    inside = np.zeros([len(line) - 1 for line in voxels.planes], dtype=bool)
+    inside[tuple(voxels.cells.T)] = True
+    return inside
+
+
 LEGS = [(i, j, 1) for i in range(3) for j in range(3)] + [(i, j, 0) for i in (0, 2) for j in (0, 2)]
 WINGS = [(i, 1, k) for i in range(3) for k in range(3)] + [(1, j, 1) for j in (0, 2)]
 
@@ -178,19 +192,22 @@ WINGS = [(i, 1, k) for i in range(3) for k in range(3)] + [(1, j, 1) for j in (0
     body(WINGS, [0, 1, 2, 4], [0, 2, 2.6, 4.6], [0, 0.25, 0.4, 0.65]),
 ], ids=["legs", "wings"])
 def test_thin_limbs_are_left_out_or_followed(surface: Surface) -> None:
-    _, plain = voxelise(surface)
-    voxels, slender = voxelise(surface, fullness=SLENDER, reach=REACH)
-    assert plain["reach"] > 1.0
-    assert slender["reach"] <= REACH
+    slender = voxelise(surface, fullness=SLENDER, reach=REACH)
+    voxels = slender.voxels
+    assert voxelise(surface).reach > 1.0
+    assert slender.reach <= REACH
     # The same by another way: distances from points of the surface to the nearest voxel, in space.
     middles = place(voxels, voxels.cells) + 0.5 * voxels.size * voxels.rotation.sum(axis=0)
     away = np.abs((surface.points[:, None] - middles) @ voxels.rotation.T).max(axis=2).min(axis=1)
-    assert abs(away.max() / voxels.size - 0.5 - slender["reach"]) < 1e-9
+    assert abs(away.max() / voxels.size - 0.5 - slender.reach) < 1e-9
     assert frame_of(polycube(voxels.cells)).genus == 0
     # Of the finer ones beside it, none that fits worse is taken.
-    finer = voxelise(surface, fullness=SLENDER, reach=REACH, beyond=1.0)[1]
-    assert finer["mismatch"] <= slender["mismatch"]
-    assert 0.0 <= finer["resolution"] - slender["resolution"] <= 1.0
+    finer = voxelise(surface, fullness=SLENDER, reach=REACH, beyond=1.0)
+    assert finer.mismatch <= slender.mismatch
+    assert 0.0 <= finer.resolution - slender.resolution <= 1.0
+    # What the report says is so.
+    assert slender.report()["boundary_sides"] == topology(inside_of(voxels)).faces
+    assert slender.report()["voxels"] == len(voxels.cells)
 
 
 @pytest.mark.long
