@@ -30,7 +30,7 @@ class Source(Protocol):
         """Whether the source takes this input, from a look at its beginning."""
 
     def build(self, path: str | Path, **parameters: Any) -> Domain:
-        """Domain from the input; `InputError` names what is wrong with it."""
+        """Domain from the input; `InputError` names what is wrong with it. Parameters may be texts (`parameters`)."""
 
     def refine(self, domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
         """Finer domain of the same solid."""
@@ -71,7 +71,7 @@ def build(path: str | Path, source: str | None = None, **parameters: Any) -> Dom
     ----------
     path : a file, or whatever else the source takes (a shape's name).
     source : name of the source; None takes the first one that says it reads the input.
-    parameters : settings of the source.
+    parameters : settings of the source, as texts or Python values.
 
     Raises
     ------

@@ -11,8 +11,6 @@ residual 1e-10.
 
 from __future__ import annotations
 
-import resource
-import sys
 import time
 from typing import Any
 
@@ -33,6 +31,7 @@ from iga.norms import errors
 from iga.operator import operator
 from iga.parallel import limited
 from iga.sparsity import sparsity, symmetric_product
+from studies.describe import peak_mb
 
 Array = NDArray[np.float64]
 
@@ -92,9 +91,8 @@ def run(problem: str, degree: int, elements: int, threads: int, mode: str = "ass
     Returns
     -------
     problem, p, points (Gauss points per direction), n_per_dir, ndofs (free unknowns), t_domain_s (building the domain;
-    not in the total), t_assemble_s
-    (matrix or operator, and load), t_solve_s (preconditioner and conjugate gradients), t_total_s, t_compile_s (first
-    call's compilation, apart), l2_error, peak_rss_mb, threads, iterations, mode.
+    not in the total), t_assemble_s (matrix or operator, and load), t_solve_s (preconditioner and conjugate gradients),
+    t_total_s, t_compile_s (first call's compilation, apart), l2_error, peak_rss_mb, threads, iterations, mode.
 
     Raises
     ------
@@ -117,7 +115,6 @@ def run(problem: str, degree: int, elements: int, threads: int, mode: str = "ass
         solved = time.perf_counter()
         exact = temperature if problem == "heat" else displacement
         error = errors(domain, solution, exact, points=degree + 2).l2
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "problem": problem,
         "p": degree,
@@ -130,7 +127,7 @@ def run(problem: str, degree: int, elements: int, threads: int, mode: str = "ass
         "t_total_s": solved - built,
         "t_compile_s": compiled - began,
         "l2_error": error,
-        "peak_rss_mb": peak / (2**20 if sys.platform == "darwin" else 2**10),
+        "peak_rss_mb": peak_mb(),
         "threads": threads,
         "iterations": iterations,
         "mode": mode,

@@ -14,7 +14,7 @@ from iga.progress import Progress
 from studies import bench_cube
 from studies.figures import Series, convergence, drawing
 from studies.study import Figure, Result, Size
-from studies.table import Column, Slope, Table, table
+from studies.table import Column, Slope, Table, numbers, table
 
 NAME = "bench_cube"
 COLUMNS = (
@@ -69,14 +69,13 @@ def run(size: Size, progress: Progress) -> Result:
 
 
 def _draw(path: Path, made: Table) -> None:
-    names = [column.name for column in made.columns]
-    rows = [dict(zip(names, row, strict=True)) for row in made.rows]
+    rows = made.records()
     groups = list(dict.fromkeys((row["problem"], row["p"]) for row in rows))
     lines = []
     for number, (problem, p) in enumerate(groups):
         for mode in bench_cube.MODES:
             own = [r for r in rows if (r["problem"], r["p"], r["mode"]) == (problem, p, mode)]
-            seconds, error = ([float(r[key] or 0) for r in own] for key in ("t_total", "l2_error"))
+            seconds, error = numbers(own, "t_total"), numbers(own, "l2_error")
             label = f"{problem} $p={p}$, {mode}"
             lines.append(Series(label, seconds, error, family=number, dashed=mode == "matrix-free"))
     with drawing(path, size=(5.6, 4.0)) as axes:

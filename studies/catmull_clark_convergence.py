@@ -63,7 +63,7 @@ from iga.progress import Progress
 from problems import solve_exact
 from studies.figures import Series, convergence, drawing
 from studies.study import Figure, Result, Size
-from studies.table import Column, Slope, Table, table
+from studies.table import Column, Slope, Table, numbers, table
 
 Array = NDArray[np.float64]
 
@@ -256,8 +256,7 @@ def _picture(path: Path) -> None:
 
 def _draw(path: Path, made: Table, space: str) -> None:
     """Errors of one space; one colour for each valence and each problem on the ball."""
-    names = [column.name for column in made.columns]
-    rows: list[dict[str, Any]] = [dict(zip(names, row, strict=True)) for row in made.rows]
+    rows: list[dict[str, Any]] = made.records()
     with drawing(path, 1, 2) as panels:
         for axes, norm, text in ((panels[0], "l2_error", "L^2"), (panels[1], "h1_error", "H^1")):
             lines = []
@@ -267,7 +266,7 @@ def _draw(path: Path, made: Table, space: str) -> None:
                     mine = [row for row in some if row["valence"] == valence and row["depth"] <= 1]
                     depth = max(row["depth"] for row in mine)
                     mine = [row for row in mine if row["depth"] == depth]
-                    h, error = [row["h"] for row in mine], [row[norm] for row in mine]
+                    h, error = numbers(mine, "h"), numbers(mine, norm)
                     rate = rates[norm == "h1_error"] if (problem, valence) == ("general", 4) else None
                     on_ball = problem in ("ball", "reference", "centred")
                     label = problem if on_ball else f"{problem}, valence {valence}"

@@ -27,7 +27,7 @@ from geometry.catmull_clark.lattice import limit_matrix
 from geometry.catmull_clark.mesh import HexMesh, hex_mesh
 from geometry.catmull_clark.shapes import ball, box, cross_of_tetrahedra, fan, tetrahedron
 from geometry.catmull_clark.subdivision import subdivide
-from geometry.catmull_clark.topology import Topology
+from geometry.catmull_clark.topology import INTERIOR, Topology
 from iga.cells import HEXAHEDRON
 from iga.conforming import Complex, straight_domain
 from iga.pictures.plot import plot_domain
@@ -154,11 +154,12 @@ def _limit_points(method: str, topology: Topology, found: Interpolation, points:
 
 
 def _bending(topology: Topology, x: Array) -> float:
+    """Squared distances of inner points (v, 3) from the mean of their neighbours, summed up."""
     ends = topology.edges
     total = np.zeros_like(x)
     np.add.at(total, ends[:, 0], x[ends[:, 1]])
     np.add.at(total, ends[:, 1], x[ends[:, 0]])
-    inside = topology.vertex_kind == 3
+    inside = topology.vertex_kind == INTERIOR
     return float((((total / topology.vertex_edges[:, None]) - x)[inside] ** 2).sum())
 
 

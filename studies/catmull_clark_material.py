@@ -54,6 +54,8 @@ COLUMNS = (
 )
 SLOPES = ()
 METHODS = {"approximating": "none", "push-back": "pushback", "PIA": "pia", "butterfly": "butterfly", "direct": "direct"}
+METHODS_OF_MODELS = ("approximating", "PIA")
+"""Those by which real meshes are interpolated."""
 
 
 def run(size: Size, progress: Progress) -> Result:
@@ -74,9 +76,6 @@ def run(size: Size, progress: Progress) -> Result:
     figures = [Figure("side_by_side", lambda path: _picture(path, meshes), "approximating and interpolating")]
     figures.append(Figure("iterations", _iterations, "the material after 0, 1, 3 and 10 steps of PIA (Figure 6)"))
     return Result(made, tuple(figures), summary)
-
-
-METHODS_OF_MODELS = ("approximating", "PIA")
 
 
 def _meshes(size: Size, progress: Progress) -> dict[str, HexMesh]:

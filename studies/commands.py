@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,7 @@ def build(options: argparse.Namespace) -> Answer:
 
     clock = Clock()
     output = require_place(options.output)
-    settings = dict(setting(text) for text in options.set)
-    domain = with_quality(geometry.build(options.input, options.source, **settings))
+    domain = with_quality(geometry.build(options.input, options.source, **settings_of(options.set)))
     save(domain, output)
     return describe(domain, clock)
 
@@ -189,21 +189,19 @@ def demo(options: argparse.Namespace) -> Answer:
     return dict(demo(Path(options.out), progress(), say=not options.json))
 
 
-def setting(text: str) -> tuple[str, Any]:
-    """``key=value`` with the value as a number or truth value where it reads like one.
+def settings_of(texts: Sequence[str]) -> dict[str, str]:
+    """Values by key of texts ``key=value``; the source knows what its values are (`geometry.parameters`).
 
     Raises
     ------
-    InputError : there is no key or no sign between them.
+    InputError : there is no key or no sign between them, or a key is given twice.
     """
-    key, sign, value = text.partition("=")
-    if not sign or not key:
-        raise InputError(f"--set takes key=value, not {text!r}")
-    if value.lower() in ("true", "false"):
-        return key, value.lower() == "true"
-    for kind in (int, float):
-        try:
-            return key, kind(value)
-        except ValueError:
-            continue
-    return key, value
+    found: dict[str, str] = {}
+    for text in texts:
+        key, sign, value = text.partition("=")
+        if not sign or not key:
+            raise InputError(f"--set takes key=value, not {text!r}")
+        if key in found:
+            raise InputError(f"--set {key} is given twice, {found[key]!r} and {value!r}")
+        found[key] = value
+    return found

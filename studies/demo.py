@@ -25,9 +25,9 @@ from problems import Elasticity, Heat, Solution, benchmarks, elasticity, heat, p
 from problems.material import isotropic
 from studies.catmull_clark_models import halves
 from studies.data import DATA
-from studies.report import Picture, Section, print_run, write_report
+from studies.report import Picture, Section, print_run, wide_console, write_report
 from studies.study import find, run_study
-from studies.table import Column, Value, table
+from studies.table import Column, Value, render, table
 
 LABELS = {"von_mises": "von Mises stress", "temperature": "temperature"}
 HEXES = DATA / "hex" / "fertility.vtk"
@@ -111,20 +111,10 @@ def demo(out: Path, progress: Progress, say: bool = True) -> dict[str, Any]:
         sections,
     )
     if say:
-        _print(made, page)
+        console = wide_console()
+        console.print(render(made))
+        console.print(f"open {page}", markup=False)
     return {"files": [str(page), *map(str, files)], "seconds": round(time.perf_counter() - begin, 1)}
-
-
-def _print(made: Any, page: Path) -> None:
-    from rich.console import Console
-
-    from studies.table import render
-
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=200)
-    console.print(render(made))
-    console.print(f"open {page}", markup=False)
 
 
 def _row(scene: Scene, domain: Domain, solution: Solution) -> dict[str, Value]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import resource
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,14 @@ from iga.errors import InputError
 
 
 def peak_mb() -> float:
-    """Largest resident memory of this process so far, in megabytes."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1e6 if sys.platform == "darwin" else 1e3)
+    """Largest resident memory of this process so far, in units of 2^20 bytes."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # in bytes on macOS, in 2^10 bytes elsewhere
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def wholly_certified(proof: Mapping[str, Any]) -> bool:
+    """Whether every element is, by what `iga.certificate.quality` found."""
+    return not (proof["refuted"] or proof["undecided"] or proof.get("degenerate"))
 
 
 def with_quality(domain: Domain) -> Domain:

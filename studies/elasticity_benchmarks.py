@@ -19,7 +19,7 @@ from problems import benchmarks
 from problems.benchmarks import Benchmark
 from studies.figures import Series, convergence, drawing
 from studies.study import Figure, Result, Size
-from studies.table import Column, Slope, Table, Value, table
+from studies.table import Column, Slope, Table, Value, numbers, table
 
 NAME = "elasticity_benchmarks"
 COLUMNS = (
@@ -46,7 +46,6 @@ CASES: dict[str, Case] = {
     "hollow_sphere_heat": ("hollow_sphere_octant", {}, benchmarks.hollow_sphere_heat),
     "fichera_corner": ("fichera", {}, benchmarks.fichera_corner),
 }
-# Degree and number of levels; the sphere's exact patches have degree 4.
 PLAN = {
     "ci": {"thick_sphere": [(4, 2)], "thick_cylinder": [(2, 3)], "plate_with_hole": [(2, 3)], "cantilever": [(2, 3)],
            "hollow_sphere_heat": [(4, 3)], "heated_sphere": [(4, 2)], "fichera_corner": [(2, 4)]},
@@ -54,6 +53,7 @@ PLAN = {
              "cantilever": [(2, 4)], "hollow_sphere_heat": [(4, 4)], "heated_sphere": [(4, 3)],
              "fichera_corner": [(1, 5), (2, 5)]},
 }  # fmt: skip
+"""Degree and number of levels; the sphere's exact patches have degree 4."""
 
 
 def run(size: Size, progress: Progress) -> Result:
@@ -86,14 +86,11 @@ def _row(name: str, degree: int, level: int) -> dict[str, Value]:
 
 
 def _draw(path: Path, made: Table) -> None:
-    lines: dict[tuple[Value, Value], list[tuple[float, float]]] = {}
-    for row in made.rows:
-        lines.setdefault((row[0], row[1]), []).append((float(row[4] or 0), float(row[6] or 0)))
-    series = []
-    for (name, degree), points in lines.items():
-        if len(points) < 2 or min(y for _, y in points) < 1e-12:
-            continue
-        x, y = zip(*points, strict=True)
-        series.append(Series(f"{str(name).replace('_', ' ')}, $p={degree}$", x, y))
+    rows, series = made.records(), []
+    for name, degree in dict.fromkeys((row["benchmark"], row["degree"]) for row in rows):
+        own = [row for row in rows if (row["benchmark"], row["degree"]) == (name, degree)]
+        h, error = numbers(own, "h"), numbers(own, "h1_error")
+        if len(own) > 1 and min(error) > 1e-12:  # others are exact: round-off has no rate
+            series.append(Series(f"{str(name).replace('_', ' ')}, $p={degree}$", h, error))
     with drawing(path, size=(6.2, 4.6)) as axes:
         convergence(axes, series, "$h$ (relative)", r"relative error in $H^1$")

@@ -22,6 +22,7 @@ from iga.pictures.picture import STYLE, matplotlib
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5b5b5b", "#8c6d31")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h")
 
+
 @dataclass(frozen=True)
 class Series:
     """One curve of a convergence plot: x (k,) against y (k,), positive.
@@ -62,10 +63,11 @@ def convergence(
 ) -> None:
     """Draw curves on doubly logarithmic axes, with a triangle of the stated slope at the fine end of each.
 
-    A legend of more than six curves stands beside the axes.
+    Curves without points are left out. A legend of more than six curves stands beside the axes.
     """
     axes.set_xscale("log")
     axes.set_yscale("log")
+    series = [one for one in series if len(one.x)]
     families: dict[Any, int] = {}
     for one in series:
         number = families.setdefault(one.label if one.family is None else one.family, len(families))
@@ -79,11 +81,13 @@ def convergence(
     if title:
         axes.set_title(title)
     axes.margins(x=0.12, y=0.1)
+    if not series:
+        return
     _tick_levels(axes, np.unique(np.concatenate([np.asarray(one.x, dtype=float) for one in series])))
     drawn: list[tuple[float, float]] = []
     for one in series:
         if one.rate is not None and len(one.x) >= 2:
-            _triangle(axes, one, drawn)
+            _triangle(axes, one, one.rate, drawn)
     if legend and len(series) > 6:
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, handlelength=1.9)
     elif legend:
@@ -111,23 +115,22 @@ def _short(value: float) -> str:
     return f"{value:.3g}"
 
 
-def _triangle(axes: Any, one: Series, drawn: list[tuple[float, float]]) -> None:
-    """Draw a right triangle of slope `rate` just under the last pair of points."""
-    assert one.rate is not None
+def _triangle(axes: Any, one: Series, rate: float, drawn: list[tuple[float, float]]) -> None:
+    """Draw a right triangle of slope ``rate`` just under the last pair of points, and add its place to ``drawn``."""
     x1, x2 = np.log10(one.x[-1]), np.log10(one.x[-2])  # the fine end first
     y1 = np.log10(one.y[-1])
     width = 0.45 * (x2 - x1)
-    left, low = x1 + 0.25 * (x2 - x1), 0.0
+    left = x1 + 0.25 * (x2 - x1)
     # Under the curve where it is above its own chord start, by a constant share of the axis height.
     bottom, top = np.log10(axes.get_ylim())
     gap = 0.035 * (top - bottom)
     slope = (np.log10(one.y[-2]) - y1) / (x2 - x1)
-    low = y1 + slope * (left - x1) - gap - max(0.0, (one.rate - slope) * width)
+    low = y1 + slope * (left - x1) - gap - max(0.0, (rate - slope) * width)
     for other_left, other_low in drawn:
         if abs(other_left - left) < abs(width) and abs(other_low - low) < 1.2 * gap:
             return  # another triangle of about the same place says enough
     drawn.append((left, low))
-    right, high = left + width, low + one.rate * width
+    right, high = left + width, low + rate * width
     corners = np.array([[left, low], [right, low], [right, high], [left, low]])
     axes.plot(*10.0**corners.T, color="#444444", linewidth=0.8, marker="")
     grey = {"color": "#444444", "fontsize": 8.5}
@@ -137,7 +140,7 @@ def _triangle(axes: Any, one: Series, drawn: list[tuple[float, float]]) -> None:
         va="top" if high > low else "bottom", **grey,
     )  # fmt: skip
     axes.annotate(
-        _short(abs(one.rate)), 10.0 ** np.array([right, 0.5 * (low + high)]), (3 if forward else -3, 0),
+        _short(abs(rate)), 10.0 ** np.array([right, 0.5 * (low + high)]), (3 if forward else -3, 0),
         textcoords="offset points", ha="left" if forward else "right", va="center", **grey,
     )  # fmt: skip
 

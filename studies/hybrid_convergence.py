@@ -37,7 +37,7 @@ from problems import solve_exact
 from studies.data import CAD
 from studies.figures import Series, convergence, drawing
 from studies.study import Figure, Result, Size
-from studies.table import Column, Slope, Table, Value, table
+from studies.table import Column, Slope, Table, Value, numbers, table
 
 NAME = "hybrid_convergence"
 COLUMNS = (
@@ -117,9 +117,7 @@ def _row(variant: str, problem: str, level: int, domain: Domain, formula: str) -
 
 
 def _said(made: Table) -> str:
-    names = [column.name for column in made.columns]
-    rows = [dict(zip(names, row)) for row in made.rows]
-    rates = made.rates()
+    rows, rates = made.records(), made.rates()
     short = max((rate.expected - rate.last for rate in rates if rate.expected and rate.levels > 2), default=0.0)
     plain = max((r for r in rows if r["variant"] == "tets"), key=lambda r: cast(int, r["level"]))
     return (
@@ -130,15 +128,13 @@ def _said(made: Table) -> str:
 
 
 def _draw(path: Path, made: Table) -> None:
-    names = [column.name for column in made.columns]
-    rows = [dict(zip(names, row, strict=True)) for row in made.rows]
+    rows = made.records()
     with drawing(path, 1, 2) as panels:
         for axes, norm, text in ((panels[0], "l2_error", "L^2"), (panels[1], "h1_error", "H^1")):
             lines = []
             for family, variant in enumerate(dict.fromkeys(r["variant"] for r in rows)):
                 for problem in EXACT:
                     mine = [r for r in rows if r["variant"] == variant and r["problem"] == problem]
-                    x = [cast(float, r["functions"]) for r in mine]
-                    y = [cast(float, r[norm]) for r in mine]
+                    x, y = numbers(mine, "functions"), numbers(mine, norm)
                     lines.append(Series(f"{variant}, {problem}", x, y, family=family, dashed=problem != "heat"))
             convergence(axes, lines, "functions", f"relative error in ${text}$", legend=axes is panels[-1])

@@ -17,6 +17,7 @@ as they are cut.
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,7 @@ COLUMNS = (
 SLOPES: tuple[Slope, ...] = ()
 QUALITIES = range(5)
 HEIGHTS = np.array([(0, 0.1, 0.3, 0.2), (0.1, 0.5, 0.4, 0.1), (0.2, 0.6, 0.2, 0), (0, 0.3, 0.1, 0.4)])
+"""Control points of the patch, third coordinate."""
 
 
 def run(size: Size, progress: Progress) -> Result:
@@ -105,6 +107,7 @@ def _row(
 
 
 def _values(rows: list[dict[str, Value]], model: str) -> Array:
+    """Largest errors (refinement, quality) of a model."""
     found = {(r["refinement"], r["quality"]): r["largest"] for r in rows if r["model"] == model}
     levels = 1 + max(int(level) for level, _ in found if isinstance(level, int))
     return np.array([[found[level, quality] for quality in QUALITIES] for level in range(levels)], dtype=float)
@@ -118,7 +121,7 @@ def _summary(rows: list[dict[str, Value]]) -> str:
     return "; ".join(said) + ". Cutting triangles helps until the curve's own error is reached."
 
 
-def _draw(path: object, rows: list[dict[str, Value]], model: str) -> None:
+def _draw(path: Path, rows: list[dict[str, Value]], model: str) -> None:
     v = _values(rows, model)
     names = [f"refinement {level}" for level in range(len(v))]
-    plot_heat_table(path, names, [f"quality {q}" for q in QUALITIES], v, "Largest error")  # type: ignore[arg-type]
+    plot_heat_table(path, names, [f"quality {q}" for q in QUALITIES], v, "Largest error")

@@ -37,7 +37,7 @@ from iga.pictures.plot import plot_domain
 from iga.progress import Progress
 from iga.store import load
 from studies.data import CAD
-from studies.describe import describe, with_quality
+from studies.describe import describe, wholly_certified, with_quality
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
@@ -138,12 +138,12 @@ def _file(path: Path, name: str, solid: int | None, target: Path) -> tuple[dict[
 def row_of(name: str, found: dict[str, Any]) -> dict[str, Value]:
     """Row of the table from what ``iga build`` answers."""
     proof, report = found["quality"], found["report"]
-    good = not proof["refuted"] and not proof["undecided"] and not proof.get("degenerate")
     stages = report.get("stages", {})
     return {
-        "model": name, "verdict": "certified" if good else "not certified", "faces": report["cad_faces"],
-        "elements": sum(found["elements"].values()), "functions": found["functions"], "refuted": proof["refuted"],
-        "undecided": proof["undecided"], "exact": report["exact_area_share"], "gap": report["watertight_gap"],
+        "model": name, "verdict": "certified" if wholly_certified(proof) else "not certified",
+        "faces": report["cad_faces"], "elements": sum(found["elements"].values()), "functions": found["functions"],
+        "refuted": proof["refuted"], "undecided": proof["undecided"], "exact": report["exact_area_share"],
+        "gap": report["watertight_gap"],
         "distance": found["distance"]["relative"],
         "volume_error": abs(found["volume"] / report["cad_volume"] - 1.0),
         "surfaces_error": abs(found["volume"] / report["surfaces_volume"] - 1.0), "spread": report["volume_spread"],

@@ -35,6 +35,7 @@ from geometry.hybrid.trimming import cut_at_knots, trim_face
 from iga.block import bezier_coefficients
 from iga.cells import QUADRILATERAL
 from iga.progress import Progress
+from studies.figures import drawing
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
@@ -58,6 +59,8 @@ COLUMNS = (
     Column("outside", at_most=1e-12, format=".1e"),
 )
 SLOPES: tuple[Slope, ...] = ()
+PLAIN = 16
+"""Functions on a rectangle that no trim function reaches: the bicubic B-splines alone."""
 CASES: tuple[tuple[int, Psi], ...] = ((0, "selection"), (1, "selection"), (1, "correction"))
 
 
@@ -105,7 +108,7 @@ def _row(name: str, level: int, face: HybridFace, diagonal: float) -> dict[str, 
 def _outside(face: HybridFace) -> float:
     """Largest distance to the surface on rectangles that do not touch the trimming curve."""
     block = face.space.blocks[0]
-    if block.n != 16:
+    if block.n != PLAIN:
         return 0.0
     s = np.linspace(0.0, 1.0, 4)
     at = np.stack(np.meshgrid(s, s, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -116,29 +119,24 @@ def _outside(face: HybridFace) -> float:
 
 
 def _draw(path: Path, face: HybridFace) -> None:
-    import matplotlib
+    """The parameter plane: rectangles, blue where functions are revised, triangles along the curves, and knot lines."""
+    with drawing(path, size=(6.0, 6.0)) as axes:
+        from matplotlib.patches import Rectangle
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-    from matplotlib.patches import Rectangle
-
-    figure, axes = pyplot.subplots(figsize=(6, 6), layout="constrained")
-    start = 0
-    for block in face.space.blocks:
-        if block.basis.cell is QUADRILATERAL:
-            part = slice(start, start + block.elements)
-            start += block.elements
-            for low, high in zip(face.low[part], face.high[part]):
-                colour = "0.85" if block.n == 16 else "lightskyblue"
-                axes.add_patch(Rectangle(tuple(low), *(high - low), facecolor=colour, edgecolor="k", linewidth=0.5))
-    s = np.linspace(0.0, 1.0, 12)
-    for phi in face.phi:
-        sides = [triangle_map(phi[None], np.stack(x, 1))[0] for x in ((s, 0 * s), (1 - s, s), (0 * s, 1 - s))]
-        axes.fill(*np.concatenate(sides).T, facecolor="navy", edgecolor="w", linewidth=0.3)
-    for line in np.unique(face.surface.knots[0]):
-        axes.axvline(line, color="m", linewidth=0.6)
-    for line in np.unique(face.surface.knots[1]):
-        axes.axhline(line, color="m", linewidth=0.6)
-    axes.set_aspect("equal")
-    figure.savefig(path, dpi=100)
-    pyplot.close(figure)
+        start = 0
+        for block in face.space.blocks:
+            if block.basis.cell is QUADRILATERAL:
+                part = slice(start, start + block.elements)
+                start += block.elements
+                colour = "0.85" if block.n == PLAIN else "lightskyblue"
+                for low, high in zip(face.low[part], face.high[part]):
+                    axes.add_patch(Rectangle(tuple(low), *(high - low), facecolor=colour, edgecolor="k", linewidth=0.5))
+        s = np.linspace(0.0, 1.0, 12)
+        for phi in face.phi:
+            sides = [triangle_map(phi[None], np.stack(x, 1))[0] for x in ((s, 0 * s), (1 - s, s), (0 * s, 1 - s))]
+            axes.fill(*np.concatenate(sides).T, facecolor="navy", edgecolor="w", linewidth=0.3)
+        for line in np.unique(face.surface.knots[0]):
+            axes.axvline(line, color="m", linewidth=0.6)
+        for line in np.unique(face.surface.knots[1]):
+            axes.axhline(line, color="m", linewidth=0.6)
+        axes.set_aspect("equal")

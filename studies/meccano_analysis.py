@@ -47,7 +47,7 @@ from problems.estimator import indicators
 from problems.manufactured import heat as exact_heat
 from studies.figures import Series, convergence, drawing, plot_panels
 from studies.study import Figure, Result, Size
-from studies.table import Column, Slope, Table, Value, table
+from studies.table import Column, Slope, Table, Value, numbers, table
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,9 @@ EXACT = {
 }
 LAYER = "exp(-20*(x+y))"
 MARKED = 0.7
+"""Share of the squared estimate that marked cells hold (Doerfler)."""
 RATIONAL_POINTS = 6
+"""Gauss points per direction on rational cells, where the default rule would be seen in the errors."""
 
 
 def bent(x: Array) -> Array:
@@ -193,8 +195,7 @@ def _row(
 def _said(made: Table) -> str:
     last = {rate.name: rate.last for rate in made.rates()}
     rates = "; ".join(f"{name} {value:.2f}" for name, value in last.items())
-    column = [column.name for column in made.columns].index("share")
-    shares = [row[column] for row in made.rows if row[column] is not None]
+    shares = [share for share in made.column("share") if share is not None]
     saved = f"adaptive refinement takes {shares[0]:.2f} of the functions of uniform" if shares else "no saving shown"
     return f"Last rates: {rates}. On the layer {saved}."
 
@@ -203,24 +204,22 @@ def _said(made: Table) -> str:
 
 
 def _draw(made: Table, path: Path) -> None:
-    at = {column.name: k for k, column in enumerate(made.columns)}
-    groups: dict[tuple[str, ...], list[tuple[Value, ...]]] = {}
-    for row in made.rows:
-        groups.setdefault(tuple(str(row[at[name]]) for name in GROUP), []).append(tuple(row))
+    groups: dict[tuple[str, ...], list[dict[str, Value]]] = {}
+    for row in made.records():
+        groups.setdefault(tuple(str(row[name]) for name in GROUP), []).append(row)
     with drawing(path, 1, 3) as panels:
         for axes, y, title in zip(panels, ("l2_error", "h1_error"), ("L2 error", "H1 error")):
             series = []
             for number, (key, rows) in enumerate(groups.items()):
                 if key[0] == "layer":
                     continue
-                theory = rows[0][at[y.replace("error", "theory")]]
-                series.append(Series(
-                    f"{key[0]}, {key[1]}, {key[2]}", [float(r[at["h"]]) for r in rows],  # type: ignore[arg-type]
-                    [float(r[at[y]]) for r in rows], theory, number, key[2] == "t-spline",  # type: ignore[arg-type]
-                ))  # fmt: skip
+                theory = numbers(rows, y.replace("error", "theory"))[0]
+                rate = None if np.isnan(theory) else theory
+                label, dashed = ", ".join(key[:3]), key[2] == "t-spline"
+                series.append(Series(label, numbers(rows, "h"), numbers(rows, y), rate, number, dashed))
             convergence(axes, series, "$h$", "relative error", title)
         series = [
-            Series(key[3], [float(r[at["functions"]]) for r in rows], [float(r[at["h1_error"]]) for r in rows])  # type: ignore[arg-type]
+            Series(key[3], numbers(rows, "functions"), numbers(rows, "h1_error"))
             for key, rows in groups.items() if key[0] == "layer"
         ]  # fmt: skip
         convergence(panels[2], series, "functions", "relative error", "layer, H1 error")

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from geometry.layouts.blocks import place
-from geometry.meccano import Settings, domain_of, read_surface
+from geometry.meccano import Settings, domain_of
 from geometry.meccano.domain import bare
 from geometry.meccano.fitting import greville_points
 from geometry.meccano.hierarchical import hierarchy
@@ -37,8 +37,9 @@ from iga.pictures.plot import plot_domain
 from iga.pictures.skin import Cut
 from iga.progress import Progress
 from studies.data import SURFACES
+from studies.describe import wholly_certified
 from studies.figures import plot_panels
-from studies.meccano_models import whole_boundary
+from studies.meccano_models import surface_of, whole_boundary
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
@@ -74,8 +75,8 @@ def run(size: Size, progress: Progress) -> Result:
     )]  # fmt: skip
     there = [SURFACES / name for name in FILES if (SURFACES / name).is_file()] if size == "full" else []
     for path in there:
-        read: Callable[[], Surface] = lambda path=path: read_surface(path)[0]  # type: ignore[misc]  # noqa: E731
-        jobs.append((path.name, read, Settings(tolerance=0.006), Settings(space="t-spline", tolerance=0.01)))
+        paper = Settings(space="t-spline", tolerance=0.01)
+        jobs.append((path.name, partial(surface_of, path), Settings(tolerance=0.006), paper))
     rows: list[dict[str, Value]] = []
     shown: list[tuple[str, dict[str, Domain]]] = []
     for name, read, pillowed, paper in progress.track(jobs, "solids with holes"):
@@ -102,7 +103,7 @@ def _row(name: str, kind: str, surface: Surface, settings: Settings) -> tuple[di
         return row | {"verdict": f"refused: {error}", "seconds": perf_counter() - began}, None
     proof, told = quality(domain), domain.report
     shape = proof["scaled_jacobian"]
-    good = not proof["refuted"] and not proof["undecided"] and not proof["degenerate"]
+    good = wholly_certified(proof)
     # The paper judges cells, of which T-splines have several elements.
     last = told["remedy"][-1] if "remedy" in told else {
         "negative_centre": shape["cells_negative_centre"], "negative_gauss": shape["cells_negative_gauss"],

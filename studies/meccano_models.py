@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from time import perf_counter
 
+from geometry.layouts.frame import frame_of
 from geometry.meccano import Settings, domain_of
 from geometry.meccano.shapes import ball, star, torus
 from geometry.meccano.tmesh import from_arrays
@@ -27,6 +28,7 @@ from iga.errors import InputError
 from iga.pictures.plot import plot_domain
 from iga.progress import Progress
 from studies.data import SURFACES
+from studies.describe import wholly_certified
 from studies.study import Figure, Result, Size
 from studies.table import Column, Slope, Value, table
 
@@ -62,8 +64,8 @@ def run(size: Size, progress: Progress) -> Result:
     jobs: list[tuple[str, Callable[[], Surface], Settings]] = [(k, f, s) for k, (f, s) in SMALL.items()]
     if size == "full":
         files = sorted(SURFACES.glob("*.*")) if SURFACES.is_dir() else []
-        jobs += [(path.name, partial(_surface, path, False), Settings()) for path in files]
-        jobs += [(f"{path.name}, mended", partial(_surface, path, True), Settings()) for path in files
+        jobs += [(path.name, partial(surface_of, path), Settings()) for path in files]
+        jobs += [(f"{path.name}, mended", partial(surface_of, path, True), Settings()) for path in files
                  if path.name in MENDED]
     for name, surface, settings in progress.track(jobs, "surfaces"):
         row, domain = _row(name, surface, settings)
@@ -76,7 +78,8 @@ def run(size: Size, progress: Progress) -> Result:
     return Result(table(NAME, COLUMNS, rows, SLOPES), figures, _said(rows, size))
 
 
-def _surface(path: Path, mend: bool) -> Surface:
+def surface_of(path: Path, mend: bool = False) -> Surface:
+    """The surface of a file, mended if asked for."""
     return read_surface(path, mend)[0]
 
 
@@ -89,10 +92,10 @@ def _row(name: str, surface: Callable[[], Surface], settings: Settings) -> tuple
     proof = quality(domain)
     shape = proof["scaled_jacobian"]
     told = domain.report
-    good = not proof["refuted"] and not proof["undecided"] and not proof["degenerate"]
+    good = wholly_certified(proof)
     verdict = "not certified" if not good else "certified" if told["within_tolerance"] else "certified, but off"
     row: dict[str, Value] = {
-        "model": name, "verdict": verdict, "genus": _genus(domain),
+        "model": name, "verdict": verdict, "genus": frame_of(from_arrays(domain.provenance.arrays).blocks).genus,
         "blocks": told["blocks"], "cells": told["cells"], "functions": domain.space.n, "refuted": proof["refuted"],
         "undecided": proof["undecided"], "least": shape["min"], "below_half": shape["share_below_half"],
         "volume_error": abs(volume(domain, 5) / told["surface_volume"] - 1.0),
@@ -108,14 +111,6 @@ def _draw(domain: Domain, path: Path) -> None:
 def whole_boundary(domain: Domain) -> Domain:
     """The domain with one name for its whole boundary, so that pictures show it in one colour."""
     return Domain(domain.space, domain.points, {"boundary": domain.boundaries["boundary"]})
-
-
-def _genus(domain: Domain) -> int:
-    """Genus of the meccano: 1 - chi / 2 of its boundary, a closed surface of quadrilaterals."""
-    blocks = from_arrays(domain.provenance.arrays).blocks
-    faces = [tuple(blocks.corners[b, list(blocks.cell.faces[s].vertices)].tolist()) for b, s in blocks.boundary_sides]
-    corners = {c for face in faces for c in face}
-    return 1 - (len(corners) - 2 * len(faces) + len(faces)) // 2
 
 
 def _said(rows: list[dict[str, Value]], size: Size) -> str:

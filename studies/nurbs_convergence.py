@@ -9,7 +9,6 @@ splines.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from iga.progress import Progress
 from problems import solve_exact
 from studies.figures import Series, convergence, drawing
 from studies.study import Figure, Result, Size
-from studies.table import Column, Slope, Table, table
+from studies.table import Column, Slope, Table, numbers, table
 
 NAME = "nurbs_convergence"
 COLUMNS = (
@@ -76,15 +75,14 @@ def _domain(solid: str, degree: int, n: int) -> Domain:
 
 
 def _draw(path: Path, made: Table) -> None:
-    names = [column.name for column in made.columns]
+    rows = made.records()
     with drawing(path, 1, 2) as panels:
         for axes, norm, text in ((panels[0], "l2_error", "L^2"), (panels[1], "h1_error", "H^1")):
             lines = []
             for solid in EXACT:
                 for p in DEGREES:
-                    rows = [dict(zip(names, row, strict=True)) for row in made.rows if row[:2] == (solid, p)]
-                    if rows:
-                        h, error = ([cast(float, r[key]) for r in rows] for key in ("h", norm))
-                        rate = float(p + (norm == "l2_error")) if solid == "cube" else None
-                        lines.append(Series(f"{solid} $p={p}$", h, error, rate, family=p, dashed=solid == "ring"))
+                    own = [row for row in rows if (row["solid"], row["degree"]) == (solid, p)]
+                    h, error = numbers(own, "h"), numbers(own, norm)
+                    rate = float(p + (norm == "l2_error")) if solid == "cube" else None
+                    lines.append(Series(f"{solid} $p={p}$", h, error, rate, family=p, dashed=solid == "ring"))
             convergence(axes, lines, "$h$", f"relative error in ${text}$", legend=axes is panels[-1])

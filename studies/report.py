@@ -18,6 +18,8 @@ from iga.exchange.files import write_text
 from studies.table import Column, Table, Value, formatted, render, render_rates
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from studies.study import Run
 
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".jpg": "image/jpeg"}
@@ -78,14 +80,17 @@ class Section:
     note: str = ""
 
 
-def print_run(run: Run) -> None:
-    """Print what a study found to standard output: table, rates, what they say, and the files written."""
+def wide_console() -> Console:
+    """Console on standard output; a pipe has no width, so it gets enough for any table and no column is cut."""
     from rich.console import Console
 
-    # A pipe has no width: take enough for any table, so that no column is cut.
-    console = Console(highlight=False, soft_wrap=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=200)
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=200)
+
+
+def print_run(run: Run) -> None:
+    """Print what a study found to standard output: table, rates, what they say, and the files written."""
+    console = wide_console()
     console.print(render(run.result.table, f"{run.name} ({run.seconds:.1f} s)"))
     rates = render_rates(run.result.table)
     if rates is not None:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 Kind = Literal["text", "int", "float", "time"]
 Value = str | int | float | None
 RATE_WINDOW = 0.1
+"""How far an observed rate may be from the baseline's."""
 
 
 @dataclass(frozen=True)
@@ -103,9 +104,30 @@ class Table:
         at = _index(self, name)
         return [row[at] for row in self.rows]
 
+    def records(self) -> list[dict[str, Value]]:
+        """Rows as mappings by column name."""
+        names = [column.name for column in self.columns]
+        return [dict(zip(names, row, strict=True)) for row in self.rows]
+
     def rates(self) -> tuple[Rate, ...]:
         """All observed rates."""
         return tuple(rate for slope in self.slopes for rate in _observe(self, slope))
+
+
+def numbers(records: Iterable[Mapping[str, Value]], name: str) -> list[float]:
+    """Numbers under one name in some rows; NaN where there is none.
+
+    Raises
+    ------
+    InputError : there is a text instead.
+    """
+    found = []
+    for record in records:
+        value = record[name]
+        if isinstance(value, str):
+            raise InputError(f"column {name!r} has texts ({value!r}), no numbers")
+        found.append(math.nan if value is None else float(value))
+    return found
 
 
 def table(
@@ -147,6 +169,7 @@ def table(
 
 
 def _typed(name: str, number: int, column: Column, value: Any) -> Value:
+    """A value as its column's kind says; messages name table, row and column."""
     if isinstance(value, np.generic):
         value = value.item()
     if value is None:
@@ -159,13 +182,14 @@ def _typed(name: str, number: int, column: Column, value: Any) -> Value:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{where}: {value!r} is no number")
     if column.kind == "int":
-        if value != int(value):
+        if not math.isfinite(value) or value != int(value):
             raise InputError(f"{where}: {value!r} is no whole number")
         return int(value)
     return float(value)
 
 
 def _index(made: Table, name: str) -> int:
+    """Place of a column."""
     for at, column in enumerate(made.columns):
         if column.name == name:
             return at
@@ -173,6 +197,7 @@ def _index(made: Table, name: str) -> int:
 
 
 def _observe(made: Table, slope: Slope) -> list[Rate]:
+    """Rates of one slope, over the rows whose x and y are positive."""
     groups: dict[tuple[tuple[str, Value], ...], list[tuple[float, float, float | None]]] = {}
     x, y = _index(made, slope.x), _index(made, slope.y)
     by = [(key, _index(made, key)) for key in slope.by]
@@ -201,7 +226,6 @@ def _observe(made: Table, slope: Slope) -> list[Rate]:
 
 def _positive(value: Value) -> bool:
     return isinstance(value, int | float) and math.isfinite(value) and value > 0.0
-
 
 
 # --- files -----------------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from iga.cells import TETRAHEDRON
 from iga.progress import Progress
 from studies.figures import COLOURS, MARKERS, drawing
 from studies.study import Figure, Result, Size
-from studies.table import Column, Slope, Table, table
+from studies.table import Column, Slope, Table, numbers, table
 
 NAME = "tet_to_hex_continuity"
 COLUMNS = (
@@ -71,11 +71,11 @@ def _draw(path: Path, made: Table) -> None:
         labels = {"trace": "values", "g1": "derivative, G1", "c1": "derivative, C1"}
         for number, (quantity, label) in enumerate(labels.items()):
             for kind in ("C1", "C0"):
-                rows = [k for k, pair in enumerate(made.column("pair")) if pair == kind]
-                x = [made.column("degree")[k] for k in rows]
-                y = [max(float(made.column(quantity)[k] or 0.0), 1e-17) for k in rows]
+                rows = [row for row in made.records() if row["pair"] == kind]
+                jumps = np.maximum(numbers(rows, quantity), 1e-17)
                 axes.plot(
-                    x, y, color=COLOURS[number], marker=MARKERS[number], linestyle="-" if kind == "C1" else "--",
+                    numbers(rows, "degree"), jumps, color=COLOURS[number], marker=MARKERS[number],
+                    linestyle="-" if kind == "C1" else "--",
                     markerfacecolor=None if kind == "C1" else "white", label=f"{label} ({kind} pair)",
                 )  # fmt: skip
         axes.set_xlabel("degree $n$")

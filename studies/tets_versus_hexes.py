@@ -19,7 +19,7 @@ from iga.progress import Progress
 from problems import solve_exact
 from studies.figures import Series, convergence, drawing
 from studies.study import Figure, Result, Size
-from studies.table import Column, Slope, Table, Value, table
+from studies.table import Column, Slope, Table, Value, numbers, table
 
 Array = NDArray[np.float64]
 
@@ -45,11 +45,11 @@ SLOPES = (
 )
 EXACT = "sin(2*x)*cos(y)*exp(z)"
 CELLS = {"tets": "none", "hexes": "hex4"}
-# Cells of the cube along a side: so that the hexahedra of the last level have about 1e5 functions at full size.
 LEVELS: dict[str, dict[int, tuple[int, ...]]] = {
     "ci": {1: (2, 4, 6), 2: (1, 2, 4), 3: (1, 2, 3), 4: (1, 2)},
     "full": {1: (2, 4, 8, 16), 2: (2, 4, 6, 8), 3: (1, 2, 4, 6), 4: (1, 2, 3, 4)},
 }
+"""Cells of the cube along a side: so that the hexahedra of the last level have about 1e5 functions at full size."""
 
 
 def bent(x: Array) -> Array:
@@ -92,10 +92,9 @@ def _row(degree: int, level: int, n: int, cells: str) -> dict[str, Value]:
 
 
 def _curve(made: Table, cells: str, degree: int, x: str) -> tuple[Array, Array]:
-    rows = [r for r in made.rows if r[0] == cells and r[1] == degree]
-    at, error = ([c.name for c in made.columns].index(name) for name in (x, "l2_error"))
-    found = np.array([(r[at], r[error]) for r in rows], dtype=float)
-    return found[:, 0], found[:, 1]
+    """Values of `x` and L2 errors on all levels of one degree."""
+    rows = [row for row in made.records() if (row["cells"], row["degree"]) == (cells, degree)]
+    return np.array(numbers(rows, x)), np.array(numbers(rows, "l2_error"))
 
 
 def cost_ratio(made: Table, degree: int, x: str) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from studies.cli import main
+from studies.commands import settings_of
 
 BUILT = {"source", "input", "degree", "elements", "functions", "boundaries", "volume", "quality", "distance", "report",
          "seconds", "peak_mb"}
@@ -127,6 +128,22 @@ def test_wrong_words_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
         assert stop.value.code == 2
         assert said in capsys.readouterr().err
     assert "must be positive" in refused(capsys, "bench", "cube", "--elements", "0")
+
+
+def test_settings_reach_the_source_as_they_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The source alone knows what they are: a file or an attribute may be called 7."""
+    assert settings_of(["labels=7", "mend=true", "corners=1,2,3; 4,5,6", "features="]) == {
+        "labels": "7", "mend": "true", "corners": "1,2,3; 4,5,6", "features": "",
+    }
+    target = ("-o", tmp_path / "x.npz")
+    for said, words in (
+        ("--set degree is given twice, '1' and '2'", ("--set", "degree=1", "--set", "degree=2")),
+        ("--set takes key=value, not 'degree'", ("--set", "degree")),
+        ("degree must be a whole number from 0 to 30, not '1.5'", ("--set", "degree=1.5")),
+    ):
+        assert said in refused(capsys, "build", "cube", *words, *target)
+    assert main(["build", "cube", "--set", "elements=2", "--set", "degree=2", *map(str, target), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["degree"] == 2
 
 
 def test_folded_solids_are_built_and_not_solved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

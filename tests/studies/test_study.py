@@ -83,6 +83,14 @@ def test_figures_are_written(tmp_path, suffix):
     assert (tmp_path / f"a.{suffix}").stat().st_size > 3000
 
 
+def test_series_without_points_are_left_out(tmp_path):
+    empty = Series("none", [], [], 2.0)
+    for number, some in enumerate(([], [empty], [empty, Series("one", [1.0], [2.0])])):
+        path = tmp_path / f"{number}.png"
+        draw(path, some)
+        assert path.stat().st_size > 1000
+
+
 def test_heat_tables(tmp_path):
     plot_heat_table(tmp_path / "h.png", ["a"], ["x", "y"], np.array([[1e-15, np.nan]]))
     assert (tmp_path / "h.png").stat().st_size > 3000

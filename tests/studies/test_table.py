@@ -10,7 +10,7 @@ import pytest
 
 from iga.errors import FormatError, InputError
 from studies.comparison import compare
-from studies.table import Column, Slope, read_csv, render, render_rates, table, to_csv, to_json
+from studies.table import Column, Slope, numbers, read_csv, render, render_rates, table, to_csv, to_json
 
 COLUMNS = (
     Column("degree", "int", key=True),
@@ -144,3 +144,21 @@ def test_rendering_has_no_colour_on_a_pipe():
     assert "\x1b" not in text
     assert "1.25e-01" in text
     assert "l2_error over h, degree = 2" in text
+
+
+def test_records_and_numbers():
+    made = table("demo", COLUMNS, [(3, 0, None, 0.5, 0.0, "tets", None), (3, 1, 0.5, 2, 0.0, "tets", 1.0)])
+    first, last = made.records()
+    assert (first["degree"], first["h"], last["verdict"]) == (3, None, "tets")
+    assert list(first) == [column.name for column in COLUMNS]
+    np.testing.assert_array_equal(numbers(made.records(), "h"), [np.nan, 0.5])
+    assert numbers(made.records(), "level") == [0.0, 1.0]
+    assert numbers([], "level") == []
+    with pytest.raises(InputError, match="column 'verdict' has texts"):
+        numbers(made.records(), "verdict")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1.5])
+def test_counts_are_whole(value):
+    with pytest.raises(InputError, match=r"row 0, column 'level': .* is no whole number"):
+        table("demo", COLUMNS, [(3, value, None, None, None, None, None)])
