@@ -253,31 +253,19 @@ def centre_corner(layout: Layout, n: int, rounds: int = 0, step: float = 1.0) ->
     Borders follow edges that there are.
     """
     rows = round_corners(layout.blocks)
-    around = {int(f): rows[f].tolist().index(n) for f in np.flatnonzero((rows == n).any(axis=1))}
-    # Patches in the order of the orientation around the corner: the next one begins where this one ends.
-    f = next(iter(around))
-    ring, spokes = [], []
-    by_start = {rows[g][(i + 1) % 4]: g for g, i in around.items()}
-    while f not in ring:
-        ring.append(f)
-        i = around[f]
-        spokes.append(int(rows[f][(i + 1) % 4]))
-        f = by_start.get(rows[f][(i + 3) % 4], ring[0])
-    names = [int(rows[g][(around[g] + k) % 4]) for g in ring for k in (1, 2)]
-    if len(ring) != len(around) or len(set(names)) < len(names):
+    ring = _ring(rows, n)
+    names = [int(rows[g][(i + k) % 4]) for g, i in ring for k in (1, 2)]
+    if len(ring) < (rows == n).any(axis=1).sum() or len(set(names)) < len(names):
         return layout
-    layout, region = _split_chords(layout, np.isin(layout.side, ring))
+    patches, spokes = [g for g, _ in ring], names[::2]
+    layout, region = _split_chords(layout, np.isin(layout.side, patches))
     loop = loop_of(layout.surface, region, int(layout.corner[names[0]]))
-    marks = _marks(loop, layout.corner[names], ring[0])
+    marks = _marks(loop, layout.corner[names], patches[0])
     angle = 2 * np.pi * np.arange(len(names)) / len(names)
     targets = polygon(layout.surface.points, loop, marks, np.stack([np.cos(angle), np.sin(angle)], axis=1))
     places = mean_value(layout.surface.points, layout.surface.triangles[region], loop, targets, rounds)
     inner = np.setdiff1d(layout.surface.triangles[region], loop)
-    # Near the middle a corner of the surface, where three creases meet, is better than the middle itself.
-    distance = ((places[inner] - (1 - step) * places[layout.corner[n]]) ** 2).sum(axis=1)
-    corners_there = np.bincount(layout.surface.edges[sharp(layout.surface)].ravel(), minlength=len(places))[inner] > 2
-    distance = np.where(corners_there & (distance < NEAR**2), distance - NEAR**2, distance)
-    centre = int(inner[np.argmin(distance)])
+    centre = _nearest(layout.surface, inner, places, (1 - step) * places[layout.corner[n]])
     surface, side = layout.surface, layout.side
     walls = np.zeros((0, 2), dtype=np.int64)
     for spoke in spokes:
@@ -287,11 +275,33 @@ def centre_corner(layout: Layout, n: int, rounds: int = 0, step: float = 1.0) ->
         walls = np.concatenate([walls, path.edges])
     piece = pieces(surface, region, walls)
     # The patch of a spoke lies to its left; spokes begin at the centre and nothing else does.
-    for g, (a, b) in zip(ring, walls[walls[:, 0] == centre].tolist()):
+    for g, (a, b) in zip(patches, walls[walls[:, 0] == centre].tolist(), strict=True):
         side[piece == piece[left_of(surface, a, b)]] = g
     corner = layout.corner.copy()
     corner[n] = centre
     return replace(layout, surface=surface, side=side, corner=corner)
+
+
+def _ring(rows: Index, n: int) -> list[tuple[int, int]]:
+    """Patches around corner n in the order of the orientation, each with the place of the corner among its own (f, 4).
+
+    The next one begins where this one ends. Fewer than there are if the corner has several rings.
+    """
+    around = {int(f): rows[f].tolist().index(n) for f in np.flatnonzero((rows == n).any(axis=1))}
+    by_start = {int(rows[g][(i + 1) % 4]): g for g, i in around.items()}
+    ring: list[int] = []
+    following = next(iter(around))
+    while following not in ring:
+        ring.append(following)
+        following = by_start.get(int(rows[following][(around[following] + 3) % 4]), ring[0])
+    return [(g, around[g]) for g in ring]
+
+
+def _nearest(surface: Surface, vertices: Index, places: Array, goal: Array) -> int:
+    """The vertex with its place (v, 2) nearest to the goal, or a corner of the surface near it: three creases meet."""
+    distance = ((places[vertices] - goal) ** 2).sum(axis=1)
+    creases = np.bincount(surface.edges[sharp(surface)].ravel(), minlength=len(places))[vertices]
+    return int(vertices[np.argmin(np.where((creases > 2) & (distance < NEAR**2), distance - NEAR**2, distance))])
 
 
 def balance(layout: Layout) -> dict[str, float]:

@@ -33,7 +33,7 @@ def closest_facing(
 
     Returns
     -------
-    Points, distances and triangles; infinite distance and triangle -1 where no triangle faces that way.
+    Points, distances and triangles; NaN, infinite distance and triangle -1 where no triangle faces that way.
     """
     corners = np.ascontiguousarray(points[triangles])
     normals = doubled_normals(corners)
@@ -95,7 +95,7 @@ def _closest(
 ) -> tuple[Array, Array, Index]:
     """Among all triangles if there are no normals, else among those that face the way of the query."""
     count, free = len(queries), len(normals) == 0
-    points, squares = np.empty((count, 3)), np.full(count, np.inf)
+    points, squares = np.full((count, 3), np.nan), np.full(count, np.inf)
     owner = np.full(count, -1, dtype=np.int64)
     stack, bound = np.empty(128, dtype=np.int64), np.empty(128)
     y = np.empty(3)

@@ -22,27 +22,27 @@ from numba import njit
 
 
 @njit(cache=True)
-def incidence(tets, count):
-    """Start (n + 1,) and entries tet * (d + 1) + v of the simplices at each node."""
-    m, size = tets.shape
+def incidence(simplices, count):
+    """Start (n + 1,) and entries simplex * (d + 1) + v of the simplices at each node."""
+    m, size = simplices.shape
     start = np.zeros(count + 1, dtype=np.int64)
     for t in range(m):
         for v in range(size):
-            start[tets[t, v] + 1] += 1
+            start[simplices[t, v] + 1] += 1
     for n in range(count):
         start[n + 1] += start[n]
     fill = start[:-1].copy()
     around = np.empty(m * size, dtype=np.int64)
     for t in range(m):
         for v in range(size):
-            n = tets[t, v]
+            n = simplices[t, v]
             around[fill[n]] = t * size + v
             fill[n] += 1
     return start, around
 
 
 @njit(cache=True)
-def _map(tets, gradients, nodes, t, S):
+def _map(simplices, gradients, nodes, t, S):
     """S (d, d) of simplex t; returns its determinant."""
     d = nodes.shape[1]
     for i in range(d):
@@ -50,7 +50,7 @@ def _map(tets, gradients, nodes, t, S):
             S[i, j] = 0.0
     for v in range(1, d + 1):
         for i in range(d):
-            x = nodes[tets[t, v], i] - nodes[tets[t, 0], i]
+            x = nodes[simplices[t, v], i] - nodes[simplices[t, 0], i]
             for j in range(d):
                 S[i, j] += x * gradients[t, v, j]
     return _det(S)
@@ -95,13 +95,13 @@ def positive(sigma, delta):
 
 
 @njit(cache=True)
-def shapes(tets, gradients, nodes):
+def shapes(simplices, gradients, nodes):
     """Sigma (m,) and mean ratio (m,) of all simplices."""
     d = nodes.shape[1]
     S = np.empty((d, d))
-    sigma, ratio = np.empty(len(tets)), np.zeros(len(tets))
-    for t in range(len(tets)):
-        sigma[t] = _map(tets, gradients, nodes, t, S)
+    sigma, ratio = np.empty(len(simplices)), np.zeros(len(simplices))
+    for t in range(len(simplices)):
+        sigma[t] = _map(simplices, gradients, nodes, t, S)
         if sigma[t] > 0.0:
             square = 0.0
             for i in range(d):
@@ -112,14 +112,14 @@ def shapes(tets, gradients, nodes):
 
 
 @njit(cache=True)
-def energy_gradient(tets, gradients, nodes, power, delta):
+def energy_gradient(simplices, gradients, nodes, power, delta):
     """Sum of eta^p over all simplices and its gradient (n, d); infinite where delta = 0 and a simplex is inverted."""
     d = nodes.shape[1]
     S, C = np.empty((d, d)), np.empty((d, d))
     gradient = np.zeros(nodes.shape)
     total = 0.0
-    for t in range(len(tets)):
-        sigma = _map(tets, gradients, nodes, t, S)
+    for t in range(len(simplices)):
+        sigma = _map(simplices, gradients, nodes, t, S)
         h = positive(sigma, delta)
         if h <= 0.0:
             return np.inf, gradient
@@ -136,7 +136,7 @@ def energy_gradient(tets, gradients, nodes, power, delta):
                 slope = 0.0
                 for j in range(d):
                     slope += (2.0 * S[i, j] / square - 2.0 / d * C[i, j] * inverse) * gradients[t, v, j]
-                gradient[tets[t, v], i] += power * value * slope
+                gradient[simplices[t, v], i] += power * value * slope
     return total, gradient
 
 
@@ -223,7 +223,7 @@ def _descent(H, slope, step):
 
 
 @njit(cache=True)
-def sweep(nodes, tets, gradients, start, around, order, power, epsilon, newton):
+def sweep(nodes, simplices, gradients, start, around, order, power, epsilon, newton):
     """Visit the nodes of ``order`` once, moving them in place; returns the largest move relative to the edges."""
     d = nodes.shape[1]
     most = 0
@@ -238,7 +238,7 @@ def sweep(nodes, tets, gradients, start, around, order, power, epsilon, newton):
         least, mean, length = np.inf, 0.0, 0.0
         for k in range(count):
             t, v = divmod(around[start[n] + k], d + 1)
-            sigma = _map(tets, gradients, nodes, t, S)
+            sigma = _map(simplices, gradients, nodes, t, S)
             _cofactors(S, C)
             least = min(least, sigma)
             mean += abs(sigma) / count
@@ -256,7 +256,7 @@ def sweep(nodes, tets, gradients, start, around, order, power, epsilon, newton):
             for w in range(d + 1):
                 square = 0.0
                 for i in range(d):
-                    square += (nodes[tets[t, w], i] - nodes[n, i]) ** 2
+                    square += (nodes[simplices[t, w], i] - nodes[n, i]) ** 2
                 length += np.sqrt(square) / (d * count)
         floor = epsilon * mean
         delta = np.sqrt(floor * (floor - least)) if least < floor else 0.0

@@ -60,7 +60,7 @@ class Quality:
 
     Attributes
     ----------
-    inverted : number of simplices with sigma <= 0.
+    inverted : number of simplices without sigma > 0: folded, flat, or at nodes that are no numbers.
     least, mean : mean ratio d sigma^(2/d) / |S|^2, zero for inverted ones.
     """
 
@@ -69,10 +69,15 @@ class Quality:
     mean: float
 
 
-def quality(tets: Index, gradients: Array, nodes: Array) -> Quality:
-    """Shapes of all simplices, summed up."""
-    sigma, ratio = shapes(tets, gradients, nodes)
-    return Quality(int((sigma <= 0.0).sum()), float(ratio.min()), float(ratio.mean()))
+def quality(simplices: Index, gradients: Array, nodes: Array) -> Quality:
+    """Shapes of all simplices, summed up.
+
+    Parameters
+    ----------
+    simplices, gradients, nodes : as in `relocate`; at least one simplex.
+    """
+    sigma, ratio = shapes(simplices, gradients, nodes)
+    return Quality(int((~(sigma > 0.0)).sum()), float(ratio.min()), float(ratio.mean()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +99,7 @@ class Relocated:
 
 
 def relocate(
-    tets: Index, gradients: Array, nodes: Array, free: NDArray[np.bool_], sweeps: int = 20, power: float = 2.0,
+    simplices: Index, gradients: Array, nodes: Array, free: NDArray[np.bool_], sweeps: int = 20, power: float = 2.0,
     epsilons: tuple[float, ...] = EPSILONS, tolerance: float = 1e-2, newton: int = 3,
 ) -> Relocated:
     """Move free nodes one after the other, sweep after sweep, until they rest.
@@ -105,7 +110,7 @@ def relocate(
 
     Parameters
     ----------
-    tets : (m, d + 1)
+    simplices : (m, d + 1)
     gradients : (m, d + 1, d) of `ideal_gradients`.
     nodes : (n, d)
     free : (n,) nodes that may move.
@@ -117,16 +122,16 @@ def relocate(
     newton : most Newton steps at one node.
     """
     nodes = np.array(nodes, dtype=float)
-    start, around = incidence(tets, len(nodes))
+    start, around = incidence(simplices, len(nodes))
     order = np.flatnonzero(free & (np.diff(start) > 0))
-    inverted = [quality(tets, gradients, nodes).inverted]
+    inverted = [quality(simplices, gradients, nodes).inverted]
     moves: list[float] = []
     best, least, since, turn = nodes.copy(), inverted[0], 0, 0
     for step in range(sweeps if len(order) else 0):
         epsilon = epsilons[turn % len(epsilons)] if inverted[-1] else min(epsilons)
         way = order if step % 2 == 0 else order[::-1].copy()
-        moves.append(float(sweep(nodes, tets, gradients, start, around, way, power, epsilon, newton)))
-        inverted.append(quality(tets, gradients, nodes).inverted)
+        moves.append(float(sweep(nodes, simplices, gradients, start, around, way, power, epsilon, newton)))
+        inverted.append(quality(simplices, gradients, nodes).inverted)
         since += 1
         if inverted[-1] < least or not inverted[-1]:
             best, least, since = nodes.copy(), inverted[-1], 0
@@ -134,11 +139,11 @@ def relocate(
             break
         if since == PATIENCE:
             turn, since = turn + 1, 0
-    return Relocated(best, np.array(inverted), np.array(moves), quality(tets, gradients, best))
+    return Relocated(best, np.array(inverted), np.array(moves), quality(simplices, gradients, best))
 
 
 def relocate_globally(
-    tets: Index, gradients: Array, nodes: Array, free: NDArray[np.bool_], rounds: int = 10, power: float = 2.0,
+    simplices: Index, gradients: Array, nodes: Array, free: NDArray[np.bool_], rounds: int = 10, power: float = 2.0,
     epsilon: float = EPSILON, evaluations: int = 200,
 ) -> Relocated:
     """Move all free nodes at once: L-BFGS on sum_m eta^p with one delta for the mesh, which falls from round to round.
@@ -149,33 +154,33 @@ def relocate_globally(
     """
     nodes = np.array(nodes, dtype=float)
     rows = np.flatnonzero(free)
-    inverted, moves = [quality(tets, gradients, nodes).inverted], []
+    inverted, moves = [quality(simplices, gradients, nodes).inverted], []
     for step in range(rounds if len(rows) else 0):
-        sigma = shapes(tets, gradients, nodes)[0]
+        sigma = shapes(simplices, gradients, nodes)[0]
         floor = max(epsilon, 0.1 ** (step + 1)) * float(np.abs(sigma).mean())
         least = float(sigma.min())
         delta = float(np.sqrt(floor * (floor - least))) if least < floor else 0.0
         start = nodes[rows].copy()
-        nodes = _minimise(tets, gradients, nodes, rows, power, delta, evaluations)
+        nodes = _minimise(simplices, gradients, nodes, rows, power, delta, evaluations)
         moves.append(float(np.abs(nodes[rows] - start).max() / np.ptp(nodes, axis=0).max()))
-        inverted.append(quality(tets, gradients, nodes).inverted)
+        inverted.append(quality(simplices, gradients, nodes).inverted)
         if delta == 0.0 and moves[-1] < 1e-4:
             break
-    return Relocated(nodes, np.array(inverted), np.array(moves), quality(tets, gradients, nodes))
+    return Relocated(nodes, np.array(inverted), np.array(moves), quality(simplices, gradients, nodes))
 
 
 def _minimise(
-    tets: Index, gradients: Array, nodes: Array, rows: Index, power: float, delta: float, evaluations: int
+    simplices: Index, gradients: Array, nodes: Array, rows: Index, power: float, delta: float, evaluations: int
 ) -> Array:
     """Nodes (n, d) after L-BFGS on those of ``rows``; the best that was seen, should the line search fail."""
     nodes = nodes.copy()
     best, lowest = nodes[rows].copy(), np.inf
-    scale = energy_gradient(tets, gradients, nodes, power, delta)[0]
+    scale = energy_gradient(simplices, gradients, nodes, power, delta)[0]
 
     def objective(x: Array, slope: Array) -> float:
         nonlocal best, lowest
         nodes[rows] = x.reshape(best.shape)
-        value, gradient = energy_gradient(tets, gradients, nodes, power, delta)
+        value, gradient = energy_gradient(simplices, gradients, nodes, power, delta)
         if slope.size:
             slope[:] = gradient[rows].ravel() / scale
         if value < lowest:

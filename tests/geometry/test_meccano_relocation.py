@@ -106,6 +106,15 @@ def test_the_picture_is_its_own_optimum(blocks) -> None:  # type: ignore[no-unty
     np.testing.assert_allclose(made.nodes, moved, atol=1e-2)
 
 
+def test_nodes_that_are_no_numbers_count_as_inverted() -> None:
+    mesh = refine_all(kuhn(cube(2)), 2)
+    nodes, gradients = _straight(mesh)
+    assert quality(mesh.tets, gradients, nodes).inverted == 0
+    nodes[4] = np.nan
+    around = (mesh.tets == 4).any(axis=1).sum()
+    assert quality(mesh.tets, gradients, nodes).inverted == around > 0
+
+
 def test_flat_ideals_are_refused() -> None:
     with pytest.raises(InputError, match="element 1 is flat"):
         ideal_gradients(np.array([[(0, 0), (1, 0), (0, 1)], [(0, 0), (1, 0), (2, 0)]], dtype=float))

@@ -47,7 +47,8 @@ def test_closest_points_face_the_way_they_should():
 def test_no_triangle_may_face_that_way():
     flat = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
     down = np.array([[0.0, 0.0, -1.0]])
-    _, gap, triangle = closest_facing(flat.points, flat.triangles, np.zeros((1, 3)), down, FACING)
+    found, gap, triangle = closest_facing(flat.points, flat.triangles, np.zeros((1, 3)), down, FACING)
+    assert np.isnan(found).all()
     assert np.isinf(gap[0])
     assert triangle[0] == -1
 
