@@ -19,11 +19,12 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from iga.bernstein import LocalBasis, functions_at
+from iga.bernstein import LocalBasis, bernstein, functions_at
 from iga.block import Block, Kronecker, Patterns, bezier_coefficients
-from iga.cells import HEXAHEDRON, PYRAMID, TETRAHEDRON, WEDGE, Cell
+from iga.cells import HEXAHEDRON, LINE, PYRAMID, TETRAHEDRON, WEDGE, Cell
 from iga.domain import Domain
 from iga.kernels import distortion as kernel
+from iga.kernels.lattice import lattice_kernel
 from iga.parallel import ranges, run
 
 Array = NDArray[np.float64]
@@ -97,14 +98,27 @@ def own_shapes(domain: Domain) -> tuple[Array, ...]:
 
 
 @dataclass(frozen=True, eq=False)
+class Lattice:
+    """Lattice of sample points of tensor-product functions, for each direction.
+
+    Attributes
+    ----------
+    values, slopes : (s, n, q) of the functions of each distinct operator at the points.
+    """
+
+    values: tuple[Array, ...]
+    slopes: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Batch:
     """Elements of one block and their sample points.
 
     Attributes
     ----------
     block : the elements, with functions numbered as in the values that `evaluate` gets.
-    table : (b, s q) values and derivatives of the Bernstein functions at points that all elements share, or
-        (e, b, s q) at points of their own.
+    table : (b, s q) values and derivatives of the Bernstein functions at points that all elements share, (e, b, s q) at
+        points of their own, or a lattice of products.
     channels : s, 3 or 4.
     inverse : (e, 3, 3) inverse Jacobian matrices of the ideal elements.
     weight : (e,)
@@ -112,7 +126,7 @@ class Batch:
     """
 
     block: Block
-    table: Array
+    table: Array | Lattice
     channels: int
     inverse: Array
     weight: Array
@@ -132,6 +146,17 @@ def lattice_table(basis: LocalBasis, n: int, rational: bool) -> Array:
     table = table_at(basis, sample_points(basis.cell, n), rational)
     table.setflags(write=False)
     return table
+
+
+def lattice_of(block: Block, n: int) -> Lattice | None:
+    """The lattice with n points along each edge as products; None where a block has not the same in each direction."""
+    extraction = block.extraction
+    if not isinstance(extraction, Kronecker) or len({F.shape[1:] for F in extraction.factors}) > 1:
+        return None
+    p = extraction.factors[0].shape[2] - 1
+    values, slopes = bernstein(LINE, p).tabulate(np.linspace(0.0, 1.0, n)[:, None], 1)
+    made = [[np.ascontiguousarray(F @ T.T) for F in extraction.factors] for T in (values, slopes[..., 0])]
+    return Lattice(tuple(made[0]), tuple(made[1]))
 
 
 def tables_at(basis: LocalBasis, points: Array, rational: bool) -> Array:
@@ -166,6 +191,10 @@ def evaluate(
         start = 0
         for k, batch in enumerate(batches):
             low, high = max(first - start, 0), min(last - start, batch.block.elements)
+            if isinstance(batch.table, Lattice):
+                own = slice(low, max(low, high))
+                _lattice(batch, batch.table, own, values, delta, power, size, gradient, energies[k][own], least[k][own])
+                low = high
             for a in range(low, high, CHUNK):
                 own = slice(a, min(a + CHUNK, high))
                 _chunk(batch, own, values, delta, power, size, gradient, energies[k][own], least[k][own])
@@ -175,11 +204,25 @@ def evaluate(
     return float(sum(e.sum() for e in energies)), sum(gradients[1:], gradients[0]), energies, least
 
 
+def _lattice(
+    batch: Batch, lattice: Lattice, own: slice, values: Array, delta: Array, power: float, size: float, gradient: Array,
+    energy: Array, least: Array,
+) -> None:
+    extraction = batch.block.extraction
+    assert isinstance(extraction, Kronecker)
+    factors = [T for pair in zip(lattice.values, lattice.slopes) for T in pair]
+    lattice_kernel(*lattice.values[0].shape[1:])(
+        values, batch.block.dofs[own], *factors, extraction.pattern[own], batch.inverse[own], delta[batch.group[own]],
+        power, size, batch.weight[own], gradient, energy, least,
+    )
+
+
 def _chunk(
     batch: Batch, own: slice, values: Array, delta: Array, power: float, size: float, gradient: Array, energy: Array,
     least: Array,
 ) -> None:
     """Add to the gradient (n, 3) what some elements of a batch give; fill their energy (e,) and smallest det S (e,)."""
+    assert isinstance(batch.table, np.ndarray)
     block, shared = batch.block, batch.table.ndim == 2
     dofs, extraction = block.dofs[own], block.extraction
     e, c, b = len(dofs), values.shape[1], block.basis.n

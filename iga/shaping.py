@@ -23,7 +23,7 @@ from iga.block import Block, Extraction, Kronecker, Patterns, bezier_coefficient
 from iga.cells import PYRAMID
 from iga.certificate import certify
 from iga.descent import descend
-from iga.distortion import Batch, evaluate, lattice_table, own_shapes, sample_points, tables_at
+from iga.distortion import Batch, Lattice, evaluate, lattice_of, lattice_table, own_shapes, sample_points, tables_at
 from iga.domain import Domain, Space
 from iga.errors import InputError
 from iga.tether import Tether, springs
@@ -292,8 +292,10 @@ def _batches(task: Shaping, seen: Index, group: Index) -> tuple[list[Batch], Ind
     for k, own, own_xi in jobs:
         block = _some(space.blocks[k], own)
         basis = block.basis
+        table: Array | Lattice
         if own_xi is None:
-            table = lattice_table(basis, task.samples, rational)
+            products = None if rational else lattice_of(block, task.samples)
+            table = lattice_table(basis, task.samples, rational) if products is None else products
         else:
             table = tables_at(basis, own_xi, rational)
         weight = np.full(len(own), 1.0 if own_xi is None else _EXTRA_WEIGHT)

@@ -189,30 +189,29 @@ def smooth(
     return _result(task, points, broken, history)
 
 
-def approach(domain: Domain, points: Array, depth: int = 6) -> Untangled:
-    """Move control points as far towards given ones (n, 3) as all elements stay certified.
+def approach(domain: Domain, steps: Array, depth: int = 6) -> Untangled:
+    """Add steps (n, 3) to control points as far as all elements stay certified.
 
     All the way; around elements that are not certified then, a half, a quarter or an eighth of it, or nothing.
-    Elements not certified at the start are left alone, with their surroundings.
+    Elements not certified at the start are left alone, with their surroundings. Of a space with a constraint the free
+    coefficients take the steps.
 
     Raises
     ------
-    InputError : the space has a constraint, or the points do not fit it or are not finite.
+    InputError : the steps do not fit the domain or are not finite.
     """
-    if domain.space.constraint is not None:
-        raise InputError("control points under a constraint cannot be moved one by one")
-    if points.shape != domain.points.shape:
-        raise InputError(f"a domain of {domain.space.n} control points cannot approach an array {points.shape}")
-    if len(bad := np.flatnonzero(~np.isfinite(points).all(axis=1))):
-        raise InputError(f"control point {bad[0]} is to approach {points[bad[0]].tolist()}, which is no point")
     task = shaping(domain, np.ones(domain.space.n, dtype=bool), None, 3, 2.0)
+    if steps.shape != (task.moves.shape[1], 3):
+        raise InputError(f"{task.moves.shape[1]} control points cannot take an array {steps.shape} of steps")
+    if len(bad := np.flatnonzero(~np.isfinite(steps).all(axis=1))):
+        raise InputError(f"control point {bad[0]} is to move by {steps[bad[0]].tolist()}, which is no step")
     broken, _ = invalid_elements(task, domain.points, np.arange(task.elements), depth)
-    step = points - domain.points
-    step[touching(task, mask_of(task, broken))] = 0.0
-    seen = np.flatnonzero(elements_of(task, (step != 0.0).any(axis=1)))
-    invalid, _ = invalid_elements(task, domain.points + step, seen, depth)
-    made = _advanced(task, domain.points, step, invalid, seen, depth)
-    return _result(task, made, broken, [Round(len(invalid), domain.space.n, len(seen), np.nan)])
+    steps = steps.copy()
+    steps[touching(task, mask_of(task, broken))] = 0.0
+    seen = np.flatnonzero(elements_of(task, (steps != 0.0).any(axis=1)))
+    invalid, _ = invalid_elements(task, domain.points + task.moves @ steps, seen, depth)
+    made = _advanced(task, domain.points, steps, invalid, seen, depth)
+    return _result(task, made, broken, [Round(len(invalid), len(steps), len(seen), np.nan)])
 
 
 def _mended(

@@ -97,7 +97,7 @@ def repair(
             if len(mended.invalid) < len(invalid):
                 domain, invalid = replace(inner, points=mended.points), mended.invalid
     for _ in range(_RETURNS):
-        domain = replace(domain, points=approach(domain, control).points)
+        domain = replace(domain, points=approach(domain, control - domain.points).points)
     invalid = invalid_cells(domain)
     return Repaired(domain.points, invalid) if len(invalid) < len(start) else Repaired(control, start)
 

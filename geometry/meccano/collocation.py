@@ -25,7 +25,7 @@ from geometry.meccano.parametrisation import LEVELS
 from geometry.meccano.splines import functional
 from geometry.meccano.tmesh import cells_at, cells_of, refined
 from iga.bernstein import bernstein
-from iga.block import Kronecker, Patterns
+from iga.block import Kronecker
 from iga.cells import LINE
 from iga.errors import InputError
 
@@ -105,8 +105,8 @@ def quasi_interpolation(own: Hierarchy) -> tuple[Index, Array, csr_array]:
     weights = _outer(_functionals(own, corner[place], size[place]) @ inverse)
     count = grid.shape[0]
     column = place.reshape(-1, 1) * count + np.arange(count)
-    row = np.broadcast_to(np.arange(own.space.n)[:, None], column.shape)
-    matrix = coo_array((weights.ravel(), (row.ravel(), column.ravel())), shape=(own.space.n, len(cells) * count))
+    row = np.broadcast_to(np.arange(own.n)[:, None], column.shape)
+    matrix = coo_array((weights.ravel(), (row.ravel(), column.ravel())), shape=(own.n, len(cells) * count))
     return np.repeat(own.tmesh.block[cells], count), xi.reshape(-1, d), matrix.tocsr()
 
 
@@ -122,35 +122,16 @@ def _functionals(own: Hierarchy, corner: Index, size: Index) -> Array:
 
 def _rows(own: Hierarchy, cells: Index, factors: Array) -> csr_array:
     """Rows C v (q, n) for cells (q,) and forms v as factors (q, d, b)."""
-    values, rows, columns = [], [], []
-    where = own.element[cells]
-    for number, block in enumerate(own.space.blocks):
-        mine = np.flatnonzero(where[:, 0] == number)
-        if not len(mine):
-            continue
-        elements = where[mine, 1]
-        extraction = block.extraction
-        if isinstance(extraction, Kronecker):
-            forms = np.stack([
-                (F[extraction.pattern[elements, d]] @ factors[mine, d, :, None])[..., 0]
-                for d, F in enumerate(extraction.factors)
-            ], axis=1)
-            found = _outer(forms)
-        else:
-            assert isinstance(extraction, Patterns)
-            found = np.empty((len(mine), block.n))
-            forms = _outer(factors[mine])
-            for begin in range(0, len(mine), _BATCH):
-                some = slice(begin, begin + _BATCH)
-                found[some] = (extraction.C[extraction.pattern[elements[some]]] @ forms[some, :, None])[..., 0]
-        line, i = np.nonzero(found)
-        values.append(found[line, i])
-        rows.append(mine[line])
-        columns.append(block.dofs[elements[line], i])
-    shape = (len(cells), own.space.n)
-    if not values:
-        return csr_array(shape)
-    return coo_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape).tocsr()
+    block = own.cells
+    assert isinstance(block.extraction, Kronecker)
+    forms = np.stack([
+        (F[block.extraction.pattern[cells, d]] @ factors[:, d, :, None])[..., 0]
+        for d, F in enumerate(block.extraction.factors)
+    ], axis=1)
+    found = _outer(forms)
+    line, i = np.nonzero(found)
+    shape = (len(cells), own.expansion.shape[0])
+    return csr_array(csr_array((found[line, i], (line, block.dofs[cells[line], i])), shape=shape) @ own.expansion)
 
 
 def _outer(factors: Array) -> Array:

@@ -39,6 +39,7 @@ from geometry.meccano.collocation import prolongation
 from geometry.meccano.errors import Errors, errors_of, feet, surface_samples, unit_normals
 from geometry.meccano.fitting import fit_boundary, greville_points, harmonic, laid
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
+from geometry.meccano.moving import approached, smoothed, untangled
 from geometry.meccano.skin import side_coordinates, skin_of, values_at, values_on
 from geometry.meccano.solid import Solid, acting, moved, poor, sizes_of
 from geometry.meccano.springs import SAMPLES, springs_to
@@ -47,7 +48,6 @@ from geometry.simplices.closest import closest
 from geometry.simplices.surface import Surface
 from iga.progress import QUIET, Progress
 from iga.tether import Tether
-from iga.untangling import approach, smooth, untangle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -188,7 +188,7 @@ def _measured(task: _Task, solid: Solid, aim: Array | None = None) -> _State:
 def _settled(task: _Task, state: _State, whole: bool) -> _State:
     """A solid that has slid on its mesh, as a whole or around what is off, until limbs come no farther."""
     # What the coarse mesh leaves far off stays off: there patience costs little.
-    free = np.ones(state.solid.space.space.n, dtype=bool) if whole else None
+    free = np.ones(state.solid.space.n, dtype=bool) if whole else None
     for softness in _GRADES if whole else _FINE:
         # Soft springs only where there is some way to go.
         if softness * task.aims.tolerance <= state.errors.worst.max():
@@ -246,11 +246,10 @@ def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None,
         if patient and far:
             free = acting(solid, moved(solid, free))
     springs = springs_to(task.surface, solid.skin, tolerance, softness, state.aim, free, softness > _LEADING)
-    found = smooth(
-        solid.domain, free, rounds=turns, iterations=steps, samples=_SAMPLES[far], power=_POWER, tether=springs,
-        repairs=1, folds=not far, shown=task.shown,
+    slid = smoothed(
+        solid, free, steps, turns, _SAMPLES[far], _POWER, springs, repairs=1, folds=not far, shown=task.shown
     )
-    return _measured(task, replace(solid, points=found.points, invalid=found.invalid), state.aim)
+    return _measured(task, slid, state.aim)
 
 
 # First solid: rounds of untangling, fairness of the fits that the boundary is drawn to, stiffness of the springs there.
@@ -294,7 +293,7 @@ def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
     where = target(*side_coordinates(skin, SAMPLES))
     blob = fit_boundary(skin, picture, SAMPLES, where, fairness=100.0)
     for points in (harmonic(space, blob, skin.functions), laid(picture, values_at(skin, SAMPLES), where)):
-        solid = _untangled(Solid(space, skin, points, np.empty((0, 2), dtype=np.int64)), False, shown)
+        solid = _untangled(Solid(space, skin, points, np.empty(0, dtype=np.int64)), False, shown)
         if not len(solid.invalid):
             break
     return solid
@@ -302,24 +301,21 @@ def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
 
 def _untangled(solid: Solid, boundary: bool, shown: Progress) -> Solid:
     """Untangle by inner control points, or by all."""
-    found = untangle(solid.domain, solid.inner | boundary, rounds=_TRIES, patience=2, shown=shown)
-    return replace(solid, points=found.points, invalid=found.invalid)
+    return untangled(solid, solid.inner | boundary, _TRIES, 2, shown)
 
 
 def _drawn(solid: Solid, aim: Array, fairness: float, task: _Task) -> Solid:
     """Draw the boundary towards its fit to ``aim`` with ever stiffer springs, as far as the solid stays valid."""
     skin = solid.skin
     wanted = fit_boundary(skin, solid.points, SAMPLES, aim, fairness=fairness)[skin.functions]
-    rows, n = len(skin.functions), solid.space.space.n
+    rows, n = len(skin.functions), solid.space.n
     pick = csr_array((np.ones(rows), (np.arange(rows), skin.functions)), shape=(rows, n))
     size = sizes_of(solid)[skin.functions]
     springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in _STIFF]
-    free = np.ones(n, dtype=bool)
-    found = smooth(solid.domain, free, iterations=30, tether=springs, shown=task.shown)
+    found = smoothed(solid, np.ones(n, dtype=bool), 30, tether=springs, shown=task.shown)
     goal = found.points.copy()
     goal[skin.functions] = wanted
-    made = approach(replace(solid.domain, points=found.points), goal)
-    return replace(solid, points=made.points, invalid=made.invalid)
+    return approached(found, goal)
 
 
 def _marked(solid: Solid, errors: Errors, aims: Aims) -> Index:
@@ -328,7 +324,7 @@ def _marked(solid: Solid, errors: Errors, aims: Aims) -> Index:
     np.maximum.at(worst, solid.skin.cell, errors.worst / aims.tolerance)
     # Limbs first: most of what is off by little elsewhere will be right once they are drawn out.
     worst[worst <= max(1.0, _SHARE * worst.max())] = 0.0
-    worst[solid.uncertified] += 1.0
+    worst[solid.invalid] += 1.0
     cells = np.flatnonzero(worst)
     return cells[np.argsort(-worst[cells], kind="stable")]
 
@@ -359,7 +355,7 @@ def _snapped(solid: Solid, surface: Surface, aim: Array, aims: Aims) -> Solid:
     there = np.concatenate([aim, surface_samples(surface, _SPACING)[0]])
     facet, u, gap, _ = feet(solid.skin, solid.points, there)
     far = gap > 0.3 * aims.tolerance
-    there, B = there[far], csr_array((0, solid.space.space.n))
+    there, B = there[far], csr_array((0, solid.space.n))
     if len(there):
         B = values_on(solid.skin, facet[far], u[far])
     way = there - B @ solid.points
@@ -369,5 +365,4 @@ def _snapped(solid: Solid, surface: Surface, aim: Array, aims: Aims) -> Solid:
         solid.skin, solid.points, csr_array(vstack([A, B])), np.concatenate([near, there]), normals, along=0.05,
         fairness=1e-4, weights=weights,
     )
-    made = approach(solid.domain, goal)
-    return replace(solid, points=made.points, invalid=made.invalid)
+    return approached(solid, goal)

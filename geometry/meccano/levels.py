@@ -9,6 +9,7 @@ Axis letters: m cell of the level, k block of the meccano, i spline on a cell, d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,12 +84,14 @@ class Level:
     Attributes
     ----------
     nodes : the cells.
+    spline : (m, i) number of the spline among those of the level.
     inside : (m, i) whether the spline's support lies in Omega_l.
     number : (m, i) number of the active function, or -1.
     home, index : of the active functions, as in `Hierarchy`.
     """
 
     nodes: Nodes
+    spline: Index
     inside: Mask
     number: Index
     home: Index
@@ -121,7 +124,7 @@ def level_of(nodes: Nodes, blocks: Blocks, glue: Entities, p: int, start: int) -
     best = np.lexsort((row, distance[i], owner))
     best = best[np.flatnonzero(np.diff(owner[best], prepend=-1))]
     home = nodes.leaf[leaves[row[best]]]
-    return Level(nodes, inside[inverse], numbers, home, nodes.place[leaves[row[best]]] + local[i[best]])
+    return Level(nodes, inverse, inside[inverse], numbers, home, nodes.place[leaves[row[best]]] + local[i[best]])
 
 
 def _keys(nodes: Nodes, blocks: Blocks, glue: Entities, p: int) -> tuple[Index, Index]:
@@ -149,3 +152,11 @@ def _keys(nodes: Nodes, blocks: Blocks, glue: Entities, p: int) -> tuple[Index, 
     key[m, i] = pinned
     support[m, i] *= glue.copies[block, code]
     return key, support
+
+
+def parents_of(levels: Sequence[Level], level: int) -> Index:
+    """Cells of the level above that those of a level (m,) are parts of; none for the first."""
+    if not level:
+        return np.empty(0, dtype=np.int64)
+    nodes = levels[level].nodes
+    return np.searchsorted(levels[level - 1].nodes.key, nodes.key >> nodes.place.shape[1])

@@ -102,7 +102,7 @@ def _values_at(skin: Skin, u: Array, order: tuple[int, int]) -> csr_array:
     block, face = tmesh.blocks.boundary_sides[side].T
     xi = _ORIGIN[face] + np.einsum("qds,qs->qd", _AXES[face], s)
     scale = np.repeat(skin.size ** sum(order), count)
-    made = csr_array((len(side), skin.space.space.n))
+    made = csr_array((len(side), skin.space.n))
     for number in np.unique(face).tolist():
         own = np.flatnonzero(face == number)
         derivative = tuple(int(k) for k in _AXES[number] @ np.array(order))

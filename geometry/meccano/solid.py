@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geometry.meccano.hierarchical import Hierarchy
 from geometry.meccano.skin import Skin
 from iga.distortion import own_shapes
-from iga.domain import Domain
+from iga.domain import Domain, Space
 from iga.scaled_jacobian import least_of_elements
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ class Solid:
     space : the functions.
     skin : its boundary.
     points : (n, 3) control points.
-    invalid : (k, 2) block and number of elements that are not certified.
+    invalid : (k,) leaf cells that are not certified.
     """
 
     space: Hierarchy
@@ -43,52 +43,42 @@ class Solid:
 
     @property
     def domain(self) -> Domain:
-        """The solid as a bare domain."""
-        return Domain(self.space.space, self.points)
-
-    @property
-    def uncertified(self) -> Index:
-        """Leaf cells of the invalid elements."""
-        number = np.array([1 << 32, 1])
-        return np.flatnonzero(np.isin(self.space.element @ number, self.invalid @ number))
+        """The solid as a bare domain: leaf cells, with plain splines that are tied to the functions."""
+        X = self.space.expansion
+        return Domain(Space((self.space.cells,), X.shape[0], constraint=X), X @ self.points)
 
     @property
     def inner(self) -> Mask:
         """(n,) functions that vanish on the boundary."""
-        mask = np.ones(self.space.space.n, dtype=bool)
+        mask = np.ones(self.space.n, dtype=bool)
         mask[self.skin.functions] = False
         return mask
 
 
 def moved(solid: Solid, functions: Mask) -> Mask:
     """(c,) leaf cells that some functions (n,) act on."""
-    mask = np.zeros(solid.space.tmesh.cells, dtype=bool)
-    for number, block in enumerate(solid.space.space.blocks):
-        mine = solid.space.element[:, 0] == number
-        mask[mine] = functions[block.dofs[solid.space.element[mine, 1]]].any(axis=1)
-    return mask
+    splines = abs(solid.space.expansion) @ functions.astype(float) > 0.0
+    return np.asarray(splines[solid.space.cells.dofs].any(axis=1))
 
 
 def acting(solid: Solid, cells: Mask) -> Mask:
     """(n,) functions that act on some leaf cells (c,)."""
-    mask = np.zeros(solid.space.space.n, dtype=bool)
-    for number, block in enumerate(solid.space.space.blocks):
-        mine = cells & (solid.space.element[:, 0] == number)
-        mask[block.dofs[solid.space.element[mine, 1]]] = True
-    return mask
+    splines = np.zeros(solid.space.expansion.shape[0])
+    splines[solid.space.cells.dofs[cells]] = 1.0
+    return np.asarray(abs(solid.space.expansion).T @ splines > 0.0)
 
 
 def poor(solid: Solid) -> Mask:
     """(n,) functions that act on badly shaped elements."""
-    first = np.cumsum([0, *(block.elements for block in solid.space.space.blocks)])
-    block, element = solid.space.element.T
-    return acting(solid, least_of_elements(solid.domain)[first[block] + element] < POOR)
+    return acting(solid, least_of_elements(solid.domain) < POOR)
 
 
 def sizes_of(solid: Solid) -> Array:
     """(n,) edge length of the smallest element that each function acts on."""
-    size = np.full(solid.space.space.n, np.inf)
-    for block, shapes in zip(solid.space.space.blocks, own_shapes(solid.domain)):
-        own = np.cbrt(np.abs(np.linalg.det(shapes)))
-        np.minimum.at(size, block.dofs, own[:, None])
-    return size
+    X = solid.space.expansion
+    size = np.full(X.shape[0], np.inf)
+    shapes = own_shapes(solid.domain)[0]
+    np.minimum.at(size, solid.space.cells.dofs, np.cbrt(np.abs(np.linalg.det(shapes)))[:, None])
+    least = np.full(solid.space.n, np.inf)
+    np.minimum.at(least, X.indices, np.repeat(size, np.diff(X.indptr)))
+    return least

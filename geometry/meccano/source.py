@@ -143,7 +143,7 @@ def domain_of(
         "blocks": len(blocks.corners), "cells": solid.space.tmesh.cells, "surface_volume": volume(surface),
         "levels": np.bincount(solid.space.tmesh.level).tolist(), "rounds": history, "seconds": clock.laps,
         "ended": history[-1]["ended"], "within_tolerance": bool(report["distance"]["relative"] <= settings.aim),
-        "uncertified_cells": solid.uncertified.tolist(),
+        "uncertified_cells": np.sort(solid.invalid).tolist(),
     }
     return build_domain(solid.space, solid.points, Provenance(NAME, source, vars(settings).copy()), report)
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from geometry.meccano.hierarchical import Hierarchy
 from geometry.meccano.tmesh import on_side
-from iga.bernstein import Bernstein, face_functions
-from iga.block import Patterns
+from iga.bernstein import face_functions
 from iga.domain import Facets
 
 Index = NDArray[np.int64]
@@ -42,16 +41,9 @@ def functions_on(own: Hierarchy, sides: Index | None = None) -> Index:
     sides : all boundary sides by default.
     """
     rows = own.tmesh.blocks.boundary_sides if sides is None else np.asarray(sides).reshape(-1, 2)
-    there = np.zeros(own.space.n, dtype=bool)
+    splines = np.zeros(own.expansion.shape[0])
     for block, side in rows.tolist():
-        for facets in facets_on(own, block, side):
-            elements = own.space.blocks[facets.block]
-            assert isinstance(elements.basis, Bernstein)
-            trace = face_functions(elements.basis, side)[1]
-            dofs = elements.dofs[facets.elements]
-            if isinstance(elements.extraction, Patterns):
-                seen = (elements.extraction.C[:, :, trace] > 0.0).sum(axis=2)
-                there[dofs[seen[elements.extraction.pattern[facets.elements]] > 0]] = True
-            else:  # tensor-product splines on a cell of the first layer: traces are those of the Bernstein functions
-                there[dofs[:, trace]] = True
-    return np.flatnonzero(there)
+        # Traces of tensor-product splines on a cell of the first layer are those of the Bernstein functions.
+        trace = face_functions(own.cells.basis, side)[1]
+        splines[own.cells.dofs[np.ix_(on_side(own.tmesh, block, side), trace)]] = 1.0
+    return np.flatnonzero(abs(own.expansion).T @ splines)

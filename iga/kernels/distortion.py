@@ -230,7 +230,7 @@ def distortion(J, first, inverse, delta, power, size, weight, D, energy, least):
                     for d in range(3):
                         D[e, c, first + d, q] = 0.0
                 continue
-            term = w * np.exp(power * (np.log(square / 3.0) - (2.0 / 3.0) * np.log(h)))
+            term = w * np.exp(power / 3.0 * np.log(square * square * square / (27.0 * h * h)))
             grown = 0.5 * w * size * (1.0 + sigma * sigma) / h
             total += term + grown
             s, k = 2.0 * power * term / square, (2.0 / 3.0) * power * term / root

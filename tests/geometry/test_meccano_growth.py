@@ -33,7 +33,7 @@ def test_a_twisted_map_is_unwound():
 
     start = hierarchy(uniform(blocks, 1, 1))
     solid, history = solid_of(start, target, surface, Aims(0.01 * surface.diagonal, 60))
-    assert not len(solid.uncertified)
+    assert not len(solid.invalid)
     assert (certify(solid.domain).verdict == 1).all()
     assert history[-1]["ended"] == "within the tolerance"
     assert history[-1]["away"] < 0.01 * surface.diagonal
@@ -53,8 +53,7 @@ def test_the_picture_is_laid_onto_places_by_a_similarity():
 def test_cells_that_are_not_certified_are_named_and_split():
     space = hierarchy(uniform(pillowed(cube()), 1, 1))
     skin = skin_of(space)
-    solid = Solid(space, skin, np.zeros((space.space.n, 3)), space.element[[40, 3]])
-    assert solid.uncertified.tolist() == [3, 40]
+    solid = Solid(space, skin, np.zeros((space.n, 3)), np.array([40, 3]))
     fine = np.zeros(len(skin.cell))
     assert sorted(_marked(solid, Errors(fine, fine), Aims(1.0, 100)).tolist()) == [3, 40]
 

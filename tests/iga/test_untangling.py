@@ -210,7 +210,7 @@ def test_approach_goes_round_invalid_elements():
     wanted = points.copy()
     wanted[np.argmin(np.linalg.norm(points - [0.9, 0.5, 0.5], axis=1))] -= [0.5, 0.0, 0.0]
     assert len(np.flatnonzero(certify(replace(domain, points=wanted)).verdict <= 0)) > len(bad)
-    found = approach(given, wanted)
+    found = approach(given, wanted - points)
     assert np.flatnonzero(certify(replace(domain, points=found.points)).verdict <= 0).tolist() == bad.tolist()
     assert len(found.moved) == 1
 
