@@ -15,7 +15,7 @@ from geometry.meccano.splines import bezier_table, refinement_table
 from geometry.meccano.tmesh import refined, transitions, uniform
 from geometry.meccano.traces import boundaries, functions_on
 from iga.bernstein import bernstein
-from iga.block import Kronecker, dense_extraction
+from iga.block import Kronecker, bezier_coefficients, dense_extraction
 from iga.cells import LINE
 from iga.certificate import certify
 from iga.domain import Domain, check
@@ -83,6 +83,17 @@ def test_functions_are_a_convex_partition_of_unity(space: Hierarchy) -> None:
         assert (np.diff(ordered, axis=1) > 0).all()
     assert space.tmesh.level.max() > space.tmesh.level.min()
     assert sum(b.elements for b in space.space.blocks) == space.tmesh.cells
+
+
+def test_functions_are_what_they_expand_to_on_every_cell(space: Hierarchy) -> None:
+    values = np.random.default_rng(2).normal(size=(space.n, 3))
+    coefficients = space.expansion @ values
+    plain = bezier_coefficients(space.cells, coefficients)
+    for number, block in enumerate(space.space.blocks):
+        mine = np.flatnonzero(space.element[:, 0] == number)
+        assert np.abs(bezier_coefficients(block, values)[space.element[mine, 1]] - plain[mine]).max() < 1e-13
+    assert (coefficients[space.own] == values).all()
+    assert np.abs(space.expansion.sum(axis=1) - 1.0).max() < 1e-13
 
 
 def test_admissible_meshes_keep_few_functions_on_an_element(space: Hierarchy) -> None:

@@ -314,14 +314,28 @@ def test_springs_of_each_round_start_from_its_points():
     assert (certify(replace(domain, points=found.points)).verdict == 1).all()
 
 
-def test_points_to_approach_are_checked():
+def test_steps_are_checked():
     domain = cube((2, 2, 2), (2, 2, 2))
-    with pytest.raises(InputError, match=r"64 control points cannot approach an array \(63, 3\)"):
+    with pytest.raises(InputError, match=r"64 control points cannot take an array \(63, 3\) of steps"):
         approach(domain, domain.points[1:])
-    points = domain.points.copy()
-    points[5, 1] = np.nan
-    with pytest.raises(InputError, match="control point 5 is to approach"):
-        approach(domain, points)
+    steps = np.zeros_like(domain.points)
+    steps[5, 1] = np.nan
+    with pytest.raises(InputError, match="control point 5 is to move by"):
+        approach(domain, steps)
+
+
+def test_free_coefficients_take_the_steps_of_constrained_ones():
+    domain = cube((2, 2, 2), (4, 4, 4), 0.0)
+    inner = 86  # the mean of its neighbours 85 and 87
+    T = np.delete(np.eye(domain.space.n), inner, axis=1)
+    T[inner, [85, 86]] = 0.5
+    free = np.delete(domain.points, inner, axis=0)
+    np.testing.assert_allclose(T @ free, domain.points, atol=1e-15)
+    given = replace(domain, space=replace(domain.space, constraint=csr_array(T)))
+    steps = np.zeros_like(free)
+    steps[[40, 85]] = [[0.01, 0.0, 0.0], [-0.02, 0.0, 0.01]]
+    found = approach(given, steps)
+    np.testing.assert_allclose(found.points, T @ (free + steps), atol=1e-15)
 
 
 def test_collapsed_elements_have_no_ideal_of_their_own():
