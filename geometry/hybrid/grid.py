@@ -147,7 +147,11 @@ def face_lines(
         d = poles[0].direction
         kept = _apart([*sorted(firm[d]), *sorted(given[d]), *box[:, d].tolist()], same[d])
         width = speeds[1 - d].mean(axis=1 - d) * float(np.diff(made[1 - d]).max())
-        first = float(size_at(sizing, brep.vertices[[pole.vertex for pole in poles]]).min())
+        tips = brep.vertices[[pole.vertex for pole in poles]]
+        first = float(size_at(sizing, tips).min())
+        # A triangle at a pole is as small as elements want to be anywhere on it.
+        beside = (np.linalg.norm(x[:, None] - tips, axis=2) < first).any(axis=1)
+        first = min(first, float(h[beside[inside] if inside.any() else beside].min(initial=first)))
         made[d] = rows(kept, poles, speeds[d].mean(axis=1 - d), width, (u, v)[d], first, target)
     return made[0], made[1]
 

@@ -2,7 +2,8 @@ r"""Solids whose faces are bicubic polynomial splines: what revised B-splines an
 
 Curves in space that neighbouring faces share carry no weights, so neither do the faces: a rational surface, or one of a
 higher degree, is replaced within a share of the tolerance, with a bound of the distance that is proved where the degree
-allows (`bound`). Others are the CAD surface, elevated.
+allows (`bound`). Arcs become cubics of the sixth order with a parameter of their own, and the curves in the parameter
+plane of the face are carried over to it (`arcs`). Others are the CAD surface, elevated.
 
 Axis letters: f face, e element, c component.
 """
@@ -14,8 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.cad.brep import Brep, Face, curve_points, surface_points
+from geometry.cad.brep import Brep, Coedge, Face, curve_points, fit_curve, surface_points
+from geometry.hybrid.arcs import Map, arcs_as_cubics
 from geometry.hybrid.bound import FEET, distance_bound
+from geometry.hybrid.compatible import crossings
 from geometry.hybrid.fitting import project
 from geometry.hybrid.grid import ALONG
 from geometry.hybrid.hbrep import polynomial_surface, tensor_rows
@@ -29,6 +32,8 @@ Mask = NDArray[np.bool_]
 SHARE = 0.5
 """Share of the tolerance that replacing a rational surface by a polynomial spline may use."""
 
+FIT, ENOUGH = 1e-10, 1e-8
+"""Distance of carried curves from their places, relative to the parameters, the second for short pieces."""
 NARROW = 0.02
 """Share of the distance between lines within which a line makes no knot beside another."""
 
@@ -39,7 +44,7 @@ class Splined:
 
     Attributes
     ----------
-    brep : the solid with replaced surfaces; curves as they were.
+    brep : the solid with replaced surfaces; curves in space as they were.
     apart : (f,) bound of the distance between a face and the CAD surface, 0 where it is the CAD surface.
     proved : (f,) the bound is proved, not sampled.
     without : faces that are no splines, and why.
@@ -62,27 +67,61 @@ def splined(brep: Brep, tolerance: float) -> Splined:
     for f, face in enumerate(brep.faces):
         extent = float(np.linalg.norm(np.ptp(face.surface.control.reshape(-1, 3), axis=0)))
         exact = face.surface.weights is None and max(face.surface.degree) <= 3
-        try:
-            surface = polynomial_surface(face.surface, SHARE * tolerance * brep.diagonal / extent)
-        except InputError as error:
-            without[f] = str(error)
-            surface = face.surface
+        reach = SHARE * tolerance * brep.diagonal
+        arcs = None if exact else arcs_as_cubics(face.surface, reach)
+        if arcs is not None:
+            made, there, back = arcs
+            new = _carried(replace(face, surface=made), there, back)
+        else:
+            back = _same
+            try:
+                new = replace(face, surface=polynomial_surface(face.surface, reach / extent))
+            except InputError as error:
+                without[f] = str(error)
+                new = face
         if not exact and f not in without:
-            apart[f], proved[f] = _apart(face, surface)
-        faces.append(replace(face, surface=surface))
+            apart[f], proved[f] = _apart(face, new, back)
+        faces.append(new)
     return Splined(replace(brep, faces=tuple(faces)), apart, proved, without)
 
 
-def _apart(face: Face, made: Patch) -> tuple[float, bool]:
-    """Bound of the distance of a bicubic surface to the surface of a face inside the box of its loops."""
+def _same(uv: Array) -> Array:
+    return uv
+
+
+def _carried(face: Face, there: Map, back: Map) -> Face:
+    """A face with curves in its parameter plane mapped ``there``, where its surface has its parameters already."""
+    extent = max(float(np.ptp(x)) for x in face.surface.knots)
+    lines = [back(np.stack([np.unique(x)] * 2, axis=1))[:, d] for d, x in enumerate(face.surface.knots)]
+
+    def moved(c: Coedge) -> Coedge:
+        # Between knots the map is smooth.
+        cuts = crossings(c, (lines[0], lines[1]))
+        breaks = np.unique(np.concatenate([np.unique(c.curve.knots), cuts]))
+        breaks = breaks[np.append(True, np.diff(breaks) > 1e-9)]
+        breaks[-1] = 1.0
+        curve = fit_curve(
+            lambda t: there(curve_points(c.curve, t)), FIT * extent, breaks=breaks, enough=ENOUGH * extent
+        )
+        return replace(c, curve=curve)
+
+    return replace(face, loops=tuple(tuple(moved(c) for c in loop) for loop in face.loops))
+
+
+def _apart(face: Face, new: Face, back: Map) -> tuple[float, bool]:
+    """Bound of the distance of a new face, inside the box of its loops, to the surface of the old one, whose parameters
+    are ``back`` from the new ones.
+    """
     t = np.linspace(0.0, 1.0, 33)
-    outline = np.concatenate([curve_points(c.curve, t) for loop in face.loops for c in loop])
+    made = new.surface
+    outline = np.concatenate([curve_points(c.curve, t) for loop in new.loops for c in loop])
     box = outline.min(axis=0), outline.max(axis=0)
     lines = []
     for d in range(2):
         x = np.unique(np.concatenate([face.surface.knots[d], made.knots[d]]))
         x = x[(x > box[0][d]) & (x < box[1][d])]
-        lines.append(np.concatenate([[box[0][d]], x, [box[1][d]]]))
+        x = np.concatenate([[box[0][d]], x, [box[1][d]]])
+        lines.append(np.sort(np.concatenate([x, 0.5 * (x[1:] + x[:-1])])))  # halves, of which the bound is near
     low = np.stack(np.meshgrid(*(x[:-1] for x in lines), indexing="ij"), axis=-1).reshape(-1, 2)
     high = np.stack(np.meshgrid(*(x[1:] for x in lines), indexing="ij"), axis=-1).reshape(-1, 2)
     large = ((high - low) > 1e-9 * np.ptp(outline, axis=0)).all(axis=1)
@@ -92,8 +131,8 @@ def _apart(face: Face, made: Patch) -> tuple[float, bool]:
     at = np.stack(np.meshgrid(FEET, FEET, indexing="ij"), axis=-1).reshape(-1, 2)
     uv = (low[:, None] + at * (high - low)[:, None]).reshape(-1, 2)
     x = surface_points(made, uv)
-    feet, gap, _ = project(face, uv, x)
-    found = distance_bound(face, low, high, net, feet.reshape(len(low), -1, 2))
+    feet, gap, _ = project(face, back(uv), x)
+    found = distance_bound(face, back(low), back(high), net, feet.reshape(len(low), -1, 2))
     return (float(np.abs(gap).max()), False) if found is None else (float(found.max()), True)
 
 

@@ -216,7 +216,7 @@ def test_half_a_ball_and_a_cone_need_no_functions_but_splines() -> None:
         for row in report["cad_faces_with_quadrilaterals"]:
             if row["kind"] != "plane":
                 assert row["triangles"] == row["polar"]
-                assert row["polar_area"] < 0.05 * row["area"]
+                assert row["polar_area"] < 0.15 * row["area"]
                 assert row["distance_outside_band"] < 2e-5
 
 
@@ -245,7 +245,7 @@ def test_faces_with_poles_have_bands_along_curves() -> None:
         assert report["hb_rep"]["unity_error"] < 1e-12
         assert not report["cad_faces_without_band"]
         rows = [row for row in report["cad_faces_with_quadrilaterals"] if row["kind"] == "sphere"]
-        assert sum(row["right_triangles"] for row in rows) > 20
+        assert sum(row["right_triangles"] for row in rows) > 12
         assert all(0.0 <= row["omega_banded"] < 0.15 for row in rows)
 
 
