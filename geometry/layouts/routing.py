@@ -68,42 +68,8 @@ def route(surface: Surface, frame: Frame, corners: Index, guides: Guides, progre
     drawn: dict[int, Curve] = {}
     dear = np.full(len(frame.ends), CROSSING * size)
     for _ in progress.track(range(ROUNDS), "edges"):
-        names = list(drawn)
-        curves = join(drawn.values())
-        cut = overlay(surface, curves)
-        around = _around(cut, frame, names, corners)
-        # Curves of one round stay out of each other's triangles and corners, so that none is in another's way.
-        taken = np.zeros(len(surface.triangles), dtype=bool)
-        busy: set[int] = set()
-        later: list[int] = []
-        removed: set[int] = set()
-        for position, p in enumerate(waiting):
-            ends = frame.ends[p].tolist()
-            if busy.intersection(ends):
-                later.append(p)
-                continue
-            sides = _search(
-                cut.points, cut.triangles, cut.across, cut.curve, around.sector(p, 0), around.sector(p, 1),
-                guides.points[p], guides.normals[p], size, dear[names],
-            )
-            crossed = {names[c] for c in cut.curve.ravel()[sides].tolist() if c >= 0}
-            way = np.append(cut.parent[sides // 3], cut.parent[cut.across.ravel()[sides] // 3])
-            if (crossed and position > 0) or taken[way].any():
-                later.append(p)
-                continue
-            if crossed:
-                # Searched again in the next round, when the way is free.
-                removed = crossed
-                later = waiting
-                break
-            t, i = np.divmod(sides, 3)
-            edge = cut.edge[t, i]
-            t, i, edge = t[edge >= 0], i[edge >= 0], edge[edge >= 0]
-            low = positions(surface, curves, edge, cut.triangles[t, i])
-            high = positions(surface, curves, edge, cut.triangles[t, (i + 1) % 3])
-            drawn[p] = Curve(int(corners[ends[0]]), int(corners[ends[1]]), edge, (low + high) / 2)
-            taken[way] = True
-            busy.update(ends)
+        made, later, removed = _round(surface, frame, corners, guides, size, drawn, waiting, dear)
+        drawn |= made
         for name in removed:
             del drawn[name]
             dear[name] *= 2
@@ -114,6 +80,57 @@ def route(surface: Surface, frame: Frame, corners: Index, guides: Guides, progre
     raise InputError(
         f"{len(waiting)} of the {len(frame.ends)} edges of the meccano find no way on the surface; take finer voxels"
     )
+
+
+def _round(
+    surface: Surface, frame: Frame, corners: Index, guides: Guides, size: float, drawn: dict[int, Curve],
+    waiting: list[int], dear: Array,
+) -> tuple[dict[int, Curve], list[int], set[int]]:
+    """New curves of edges that stay out of each other's way, edges that wait on, and drawn ones that are in the way.
+
+    If the first edge has to cross others, these are all that comes of the round: it is searched again in the next one,
+    when the way is free.
+
+    Parameters
+    ----------
+    size : the frame's mean edge.
+    drawn : curves of the edges drawn so far.
+    waiting : the other edges, in the order in which they are tried.
+    dear : (p,) price of crossing each edge.
+    """
+    names, curves = list(drawn), join(drawn.values())
+    cut = overlay(surface, curves)
+    around = _around(cut, frame, names, corners)
+    # Curves of one round stay out of each other's triangles and corners, so that none is in another's way.
+    taken = np.zeros(len(surface.triangles), dtype=bool)
+    busy: set[int] = set()
+    made: dict[int, Curve] = {}
+    later: list[int] = []
+    for position, p in enumerate(waiting):
+        ends = frame.ends[p].tolist()
+        if busy.intersection(ends):
+            later.append(p)
+            continue
+        sides = _search(
+            cut.points, cut.triangles, cut.across, cut.curve, around.sector(p, 0), around.sector(p, 1),
+            guides.points[p], guides.normals[p], size, dear[names],
+        )
+        crossed = {names[c] for c in cut.curve.ravel()[sides].tolist() if c >= 0}
+        way = np.append(cut.parent[sides // 3], cut.parent[cut.across.ravel()[sides] // 3])
+        if (crossed and position > 0) or taken[way].any():
+            later.append(p)
+            continue
+        if crossed:
+            return {}, waiting, crossed
+        t, i = np.divmod(sides, 3)
+        edge = cut.edge[t, i]
+        t, i, edge = t[edge >= 0], i[edge >= 0], edge[edge >= 0]
+        low = positions(surface, curves, edge, cut.triangles[t, i])
+        high = positions(surface, curves, edge, cut.triangles[t, (i + 1) % 3])
+        made[p] = Curve(int(corners[ends[0]]), int(corners[ends[1]]), edge, (low + high) / 2)
+        taken[way] = True
+        busy.update(ends)
+    return made, later, set()
 
 
 @dataclass(frozen=True, eq=False)
