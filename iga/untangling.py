@@ -44,6 +44,8 @@ _REPAIR_STEPS, _REPAIR_DELTAS = 15, 3
 """Descent steps, and values of delta, when a round of smoothing untangles what it folded: much less than a round."""
 _LEAST_SHARE = 0.2
 """Share of a step below which it is not halved again but given up."""
+_STAYING = 0.6
+"""Share of the elements not certified; a round of `unfold` that leaves more calls for softer springs."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +132,54 @@ def untangle(
         reach = reach if len(invalid) < _FAST * best else reach + 1
         since = 0 if len(invalid) < best else since + 1
         best = min(best, len(invalid))
+    return _result(task, points, invalid, history)
+
+
+def unfold(
+    domain: Domain,
+    free: Mask,
+    tether: Tether,
+    rounds: int = 12,
+    iterations: int = 60,
+    samples: int = 5,
+    power: float = 2.0,
+    size: float = 0.2,
+    yielding: float = 0.5,
+    depth: int = 6,
+    shown: Progress = QUIET,
+) -> Untangled:
+    """Move all free control points at once until every element is certified; parameters as in `untangle`.
+
+    For solids folded in many places, whose elements must make way for each other over long ways: `untangle` moves no
+    more than what is around. Ideal elements have the elements' own edge lengths, anew in each round.
+
+    Parameters
+    ----------
+    tether : springs. Where elements stay folded, what holds them is apt to be wrong, so springs there are softened.
+    rounds : most rounds.
+    yielding : factor by which springs soften around elements that are not certified, after rounds that left most so.
+
+    Raises
+    ------
+    InputError : arrays do not fit the domain.
+    """
+    task = shaping(domain, free, None, samples, power, size, tether)
+    points = domain.points.copy()
+    invalid, worst = invalid_elements(task, points, np.arange(task.elements), depth)
+    history = [Round(len(invalid), 0, task.elements, np.nan)]
+    seen = np.flatnonzero(elements_of(task, task.open))
+    while len(invalid) and len(history) <= rounds:
+        task = with_samples(with_shapes(task, own_shapes(replace(domain, points=points))), worst)
+        step, least = minimise(task, points, task.open, seen, iterations, 3)
+        points = points + task.moves @ step
+        before, (invalid, worst) = len(invalid), invalid_elements(task, points, np.arange(task.elements), depth)
+        if len(invalid) > _STAYING * before:
+            around = abs(task.moves) @ touching(task, mask_of(task, invalid)).astype(float)
+            soft = abs(tether.A) @ around > 0.0
+            tether = replace(tether, weights=np.where(soft, yielding, 1.0) * tether.weights)
+            task = replace(task, tether=tether)
+        history.append(Round(len(invalid), int(task.open.sum()), len(seen), least))
+        shown.say(f"unfolding: {len(invalid)} elements not certified")
     return _result(task, points, invalid, history)
 
 

@@ -1,9 +1,12 @@
 r"""From the map of the meccano's boundary to a certified solid, coarse to fine.
 
-On a coarse T-mesh the solid starts valid: as a smooth blob whose boundary is fitted with much fairness and whose inside
-is harmonic in the straight picture of the meccano, or, where that cannot be untangled, as that picture itself. Springs
-of growing stiffness draw the boundary to ever better fits of the map, as far as the solid stays valid, and as long as
-that brings it nearer: what is far off when sliding begins is apt to become a web or a sac.
+On a coarse T-mesh the boundary comes first: the fit of the map is slid along the surface (`sliding`), the solid inside
+it is unfolded (`unfolding`), and what is then near the surface all over only needs its last steps. Where the coarse
+boundary is far off, or what is inside stays folded, the solid starts valid instead: as a smooth blob whose boundary is
+fitted with much fairness and whose inside is harmonic in the straight picture of the meccano, or, where that cannot be
+untangled, as that picture itself. Springs of growing stiffness draw the boundary to ever better fits of the map, as far
+as the solid stays valid, and as long as that brings it nearer: what is far off when sliding begins is apt to become a
+web or a sac.
 
 From then on boundary points slide along the surface while the shapes of all elements are smoothed, held by springs
 between samples of the boundary and the points of the surface closest to them, and between samples of the surface and
@@ -41,9 +44,11 @@ from geometry.meccano.fitting import fit_boundary, greville_points, harmonic, la
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.moving import approached, smoothed, untangled
 from geometry.meccano.skin import side_coordinates, skin_of, values_at, values_on
+from geometry.meccano.sliding import on_sheet, slid
 from geometry.meccano.solid import Solid, acting, moved, poor, sizes_of
 from geometry.meccano.springs import SAMPLES, springs_to
 from geometry.meccano.tmesh import refined
+from geometry.meccano.unfolding import unfolded
 from geometry.simplices.closest import closest
 from geometry.simplices.surface import Surface
 from iga.progress import QUIET, Progress
@@ -129,8 +134,8 @@ def solid_of(
         shown.say(", ".join(f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
                             for key, value in history[-1].items()))
 
-    state = _begun(task, start)
-    note("drawing", state)
+    task, state, stage = _started(task, start)
+    note(stage, state)
     for tolerance in nested(aims.tolerance, surface.diagonal):
         state, ended = _grown(replace(task, aims=replace(aims, tolerance=tolerance)), state, start, note)
         if ended:
@@ -139,6 +144,20 @@ def solid_of(
     note("fitting", state)
     history[-1]["ended"] = ended if state.excess(aims) else "within the tolerance"
     return state.solid, history
+
+
+def _started(task: _Task, start: Hierarchy) -> tuple[_Task, _State, str]:
+    """The first solid, what its boundary aims for from then on, and how it was made."""
+    skin, surface = skin_of(start), task.surface
+    aim = task.target(*side_coordinates(skin, SAMPLES))
+    picture = laid(_picture(start), values_at(skin, SAMPLES), aim)
+    sheet = slid(skin, picture, surface, task.target, task.aims.tolerance)
+    if errors_of(skin, sheet, aim, task.there, surface).worst.max() <= _NEAR * surface.diagonal:
+        around = replace(task, target=on_sheet(skin, sheet, surface))
+        solid = unfolded(skin, sheet, task.shown)
+        if not len(solid.invalid):
+            return around, _measured(around, solid), "unfolding"
+    return task, _begun(task, start), "drawing"
 
 
 def _begun(task: _Task, start: Hierarchy) -> _State:
@@ -252,7 +271,9 @@ def _slid(task: _Task, state: _State, softness: float, free: Mask | None = None,
     return _measured(task, slid, state.aim)
 
 
-# First solid: rounds of untangling, fairness of the fits that the boundary is drawn to, stiffness of the springs there.
+# First solid: farthest that a sheet is off, in diagonals, for it to be filled; coarse sheets lack whole limbs.
+_NEAR = 0.03
+# Else: rounds of untangling, fairness of the fits that the boundary is drawn to, stiffness of the springs there.
 _TRIES = 8
 _FAIRNESS = (1.0, 0.1, 0.01, 1e-3)
 _STIFF = (1.0, 10.0, 100.0)
@@ -282,14 +303,18 @@ _SHARE = 0.2
 _GROWTH = 2.2
 
 
+def _picture(space: Hierarchy) -> Array:
+    """Control points (n, 3) of the meccano itself."""
+    return place(space.tmesh.blocks, *greville_points(space))
+
+
 def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
     """A smooth, valid solid near the surface: its sides are nearly bilinear.
 
     Where the inside of that cannot be untangled, the start is the picture of the meccano itself, laid onto the surface.
     """
     skin = skin_of(space)
-    block, xi = greville_points(space)
-    picture = place(space.tmesh.blocks, block, xi)
+    picture = _picture(space)
     where = target(*side_coordinates(skin, SAMPLES))
     blob = fit_boundary(skin, picture, SAMPLES, where, fairness=100.0)
     for points in (harmonic(space, blob, skin.functions), laid(picture, values_at(skin, SAMPLES), where)):

@@ -77,7 +77,11 @@ def side_coordinates(skin: Skin, u: Array) -> tuple[Index, Array]:
 
 def places_on(skin: Skin, u: Array) -> tuple[Index, Array]:
     """Blocks (f q,) and xi (f q, 3) of the points u (q, 2) of all facets."""
-    side, s = side_coordinates(skin, u)
+    return places_on_sides(skin, *side_coordinates(skin, u))
+
+
+def places_on_sides(skin: Skin, side: Index, s: Array) -> tuple[Index, Array]:
+    """Blocks (q,) and xi (q, 3) of coordinates s (q, 2) of boundary sides (q,)."""
     block, face = skin.space.tmesh.blocks.boundary_sides[side].T
     return block, _ORIGIN[face] + np.einsum("qds,qs->qd", _AXES[face], s)
 

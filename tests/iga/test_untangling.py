@@ -20,7 +20,7 @@ from iga.domain import Domain, Space
 from iga.scaled_jacobian import scaled_jacobian
 from iga.shaping import shaping, with_samples
 from iga.tether import Tether
-from iga.untangling import approach, smooth, untangle
+from iga.untangling import approach, smooth, unfold, untangle
 from tests.meshes import box_complex, mixed_complex
 from tests.splines import cube
 
@@ -54,6 +54,13 @@ def bernstein_domain(mesh, points, degree):
 def inside(points):
     """Points inside the unit cube."""
     return ~(np.isclose(points, 0.0) | np.isclose(points, 1.0)).any(axis=1)
+
+
+def tied(domain, rows, weight):
+    """Springs that hold some control points where they are."""
+    own = np.flatnonzero(rows)
+    pick = csr_array((np.ones(len(own)), (np.arange(len(own)), own)), shape=(len(own), domain.space.n))
+    return Tether(pick, domain.points[own], np.zeros((len(own), 3)), np.full(len(own), weight), 1.0)
 
 
 def disturbed(domain, free, size, seed):
@@ -159,6 +166,32 @@ def test_mixed_cells_recover():
     found = untangle(given, free)
     assert len(found.invalid) == 0
     assert (found.points[~free] == given.points[~free]).all()
+
+
+def test_solids_folded_all_over_are_unfolded_at_once():
+    domain = cube((3, 3, 3), (4, 4, 4))
+    inner = inside(domain.points)
+    given = disturbed(domain, inner, 0.5, 1)
+    assert summary(certify(given, 1e9))["refuted"] >= 32
+    found = unfold(given, np.ones(domain.space.n, dtype=bool), tied(domain, ~inner, 1e4))
+    assert len(found.invalid) == 0
+    assert (certify(replace(given, points=found.points)).verdict == 1).all()
+    assert found.history[-1].invalid == 0
+    np.testing.assert_allclose(found.points[~inner], domain.points[~inner], atol=0.02)
+
+
+@pytest.mark.parametrize(("yielding", "opens"), [(1.0, False), (0.1, True)])
+def test_springs_that_hold_a_fold_yield(yielding, opens):
+    """A corner of a cube is held inside out, and springs elsewhere are right."""
+    domain = cube((2, 2, 2), (3, 3, 3))
+    outer = ~inside(domain.points)
+    corner = np.linalg.norm(domain.points - 1.0, axis=1).argmin()
+    wanted = replace(domain, points=domain.points.copy())
+    wanted.points[corner] = 0.3
+    found = unfold(wanted, np.ones(domain.space.n, dtype=bool), tied(wanted, outer, 1e5), yielding=yielding)
+    assert (len(found.invalid) == 0) == opens
+    far = outer & (domain.points.min(axis=1) == 0.0)
+    np.testing.assert_allclose(found.points[far], domain.points[far], atol=0.05)
 
 
 def test_only_the_surroundings_of_folds_move():
