@@ -84,6 +84,8 @@ def filled(points: Array, triangles: Index, hole: Hole) -> Index | None:
     triangles : (t, 3) those of the surface, or at least those with two vertices on the hole.
     """
     n = len(hole.loop)
+    if n < 3:
+        return None
     ends = half_edges(triangles)
     near = np.isin(ends, hole.loop).all(axis=1)
     place = np.full(len(points), -1, dtype=np.int64)
@@ -94,7 +96,7 @@ def filled(points: Array, triangles: Index, hole: Hole) -> Index | None:
     i = np.arange(n)
     taken[i, (i + 1) % n] = taken[(i + 1) % n, i] = False
     split = _best(np.ascontiguousarray(points[hole.loop]), np.ascontiguousarray(points[hole.beyond]), taken)
-    if n < 3 or split[0, n - 1] < 0:
+    if split[0, n - 1] < 0:
         return None
     made, stack = [], [(0, n - 1)]
     while stack:
