@@ -138,5 +138,5 @@ def _outer(factors: Array) -> Array:
     """Products (q, b^d) of factors (q, d, b), the first slowest."""
     made = factors[:, 0]
     for d in range(1, factors.shape[1]):
-        made = (made[:, :, None] * factors[:, d, None]).reshape(len(made), -1)
+        made = (made[:, :, None] * factors[:, d, None]).reshape(len(made), factors.shape[2] ** (d + 1))
     return made

@@ -19,7 +19,7 @@ from geometry.meccano.hierarchical import Hierarchy
 from geometry.meccano.solid import Solid
 from iga.progress import QUIET, Progress
 from iga.tether import Tether
-from iga.untangling import Untangled, approach, smooth, untangle
+from iga.untangling import Untangled, approach, smooth, unfold, untangle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,14 +32,19 @@ def untangled(solid: Solid, free: Mask, rounds: int, patience: int, shown: Progr
     ))
 
 
+def unfolded(solid: Solid, tether: Tether, shown: Progress = QUIET) -> Solid:
+    """Unfold by all functions, with springs on control points (n, 3); see `iga.untangling.unfold`."""
+    everything = np.ones(solid.space.expansion.shape[0], dtype=bool)
+    return _back(solid, unfold(solid.domain, everything, _on_splines(tether, _pick(solid.space)), shown=shown))
+
+
 def smoothed(
     solid: Solid, free: Mask, iterations: int, rounds: int = 2, samples: int = 3, power: float = 2.0,
     tether: Sequence[Tether] | Callable[[Array], Tether] | None = None, repairs: int = 2, folds: bool = True,
     shown: Progress = QUIET,
 ) -> Solid:
     """Improve shapes by free functions (n,), with springs on control points (n, 3); see `iga.untangling.smooth`."""
-    own = solid.space.own
-    pick = csr_array((np.ones(len(own)), (np.arange(len(own)), own)), shape=solid.space.expansion.shape[::-1])
+    own, pick = solid.space.own, _pick(solid.space)
     tethers: Sequence[Tether] | Callable[[Array], Tether] | None
     if callable(tether):
         make = tether
@@ -61,6 +66,11 @@ def approached(solid: Solid, points: Array) -> Solid:
 
 def _back(solid: Solid, found: Untangled) -> Solid:
     return replace(solid, points=found.points[solid.space.own], invalid=found.invalid[:, 1])
+
+
+def _pick(space: Hierarchy) -> csr_array:
+    """Matrix (n, s) from the coefficients of splines to those of functions."""
+    return csr_array((np.ones(space.n), (np.arange(space.n), space.own)), shape=space.expansion.shape[::-1])
 
 
 def _touched(space: Hierarchy, free: Mask) -> Mask:

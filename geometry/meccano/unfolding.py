@@ -1,25 +1,23 @@
 r"""A solid inside a sheet: what its boundary should be is known, its inside is not.
 
 The inside is harmonic in the straight picture of the meccano at first, folded in places. All control points are then
-moved at once until no element is folded, those of the boundary held by springs at the sheet (`iga.untangling.unfold`).
+moved at once until no element is folded, those of the boundary held by springs at the sheet (`moving.unfolded`).
 
 Axis letters: n function, m boundary function, c component.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from geometry.meccano import moving
 from geometry.meccano.fitting import harmonic
 from geometry.meccano.skin import Skin
 from geometry.meccano.solid import Solid, sizes_of
 from iga.progress import QUIET, Progress
 from iga.tether import Tether
-from iga.untangling import unfold
 
 Array = NDArray[np.float64]
 
@@ -35,10 +33,9 @@ def unfolded(skin: Skin, sheet: Array, shown: Progress = QUIET) -> Solid:
     sheet : control points (n, 3), of which those of boundary functions count.
     """
     space = skin.space
-    solid = Solid(space, skin, harmonic(space, sheet, skin.functions), np.empty((0, 2), dtype=np.int64))
-    rows, n = len(skin.functions), space.space.n
+    solid = Solid(space, skin, harmonic(space, sheet, skin.functions), np.empty(0, dtype=np.int64))
+    rows, n = len(skin.functions), space.n
     pick = csr_array((np.ones(rows), (np.arange(rows), skin.functions)), shape=(rows, n))
     weights = (_HOLD * sizes_of(solid)[skin.functions]) ** -2.0
     springs = Tether(pick, sheet[skin.functions], np.zeros((rows, 3)), weights, 1.0)
-    found = unfold(solid.domain, np.ones(n, dtype=bool), springs, shown=shown)
-    return replace(solid, points=found.points, invalid=found.invalid)
+    return moving.unfolded(solid, springs, shown)

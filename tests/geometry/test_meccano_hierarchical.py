@@ -104,6 +104,10 @@ def test_admissible_meshes_keep_few_functions_on_an_element(space: Hierarchy) ->
             assert np.ptp(space.level[block.dofs[e]]) <= 1
 
 
+def test_no_points_have_no_rows(space: Hierarchy) -> None:
+    assert collocation(space, np.empty(0, dtype=np.int64), np.empty((0, space.tmesh.dim))).shape == (0, space.n)
+
+
 def test_functions_are_continuous_across_sides(space: Hierarchy) -> None:
     blocks = space.tmesh.blocks
     A, t = transitions(blocks)
