@@ -41,6 +41,8 @@ THIN = 0.2
 """Least ratio of the sides of a rectangle."""
 TANGENT = 0.15
 """Least sine of the angle between the curve and a leg where they meet."""
+BESIDE = 0.03
+"""Distance of a corner from a piece of the outline, over the piece's length, below which it is next to it."""
 ON = 0.02
 """Share of a side within which a point counts as on it, or at its end."""
 DEPTH = 0.6
@@ -292,9 +294,11 @@ def _corners(element: _Element) -> Array:
 def _beside(pieces: Array, outline: Array, element: _Element) -> bool:
     """Whether a corner inside the face is next to the outline, of which short straight pieces (m, 2, 2) are given."""
     corners = _corners(element)
-    reach = ON * float(np.linalg.norm(np.ptp(element.polygon, axis=0)))
-    inner = corners[np.linalg.norm(corners[:, None] - outline, axis=2).min(axis=1) > 1e-6 * reach]
+    size = ON * float(np.linalg.norm(np.ptp(element.polygon, axis=0)))
+    inner = corners[np.linalg.norm(corners[:, None] - outline, axis=2).min(axis=1) > 1e-6 * size]
     way = pieces[:, 1] - pieces[:, 0]
+    # A triangle between the corner and a whole piece, which bends, would be flat.
+    reach = np.maximum(size, BESIDE * (len(pieces) // len(outline)) * np.linalg.norm(way, axis=1))
     off = inner[:, None] - pieces[:, 0]
     along = np.clip(np.einsum("kmc,mc->km", off, way) / (np.einsum("mc,mc->m", way, way) + 1e-300), 0.0, 1.0)
     return bool((np.linalg.norm(off - along[..., None] * way, axis=2) < reach).any())

@@ -206,7 +206,7 @@ def inside(ring: Array, points: Array) -> NDArray[np.bool_]:
     return np.abs(np.arctan2(cross, (off * after).sum(axis=-1)).sum(axis=1)) > np.pi
 
 
-@pytest.mark.parametrize("pieces", [(8, 16), (16, 8), (12, 20), (24, 9)])
+@pytest.mark.parametrize("pieces", [(20, 16), (16, 8), (12, 20), (24, 9)])
 @pytest.mark.parametrize("centre", [0.5, 0.51, 0.487])
 def test_elements_between_nearly_concentric_curves_keep_off_both(pieces: tuple[int, int], centre: float) -> None:
     """Two circles nearer to each other than elements are large, and all in one knot interval: nothing crosses them."""
