@@ -36,8 +36,8 @@ class Errors:
     Attributes
     ----------
     away : (f,) largest distance of the solid's boundary from the surface.
-    missed : (f,) largest distance of the surface, where the map puts the facet or the facet is closest, from the
-        solid's boundary.
+    missed : (f,) largest distance of points of the surface from the solid's boundary. They count for the facet that is
+        closest to them, or, where that is far, for the one that the map puts there.
     """
 
     away: Array
@@ -49,20 +49,24 @@ class Errors:
         return np.maximum(self.away, self.missed)
 
 
-def errors_of(skin: Skin, points: Array, aim: Array, there: Array, surface: Surface) -> Errors:
+def errors_of(skin: Skin, points: Array, aim: Array, there: Array, surface: Surface, far: float) -> Errors:
     """Measure a solid with control points (n, 3).
 
     Parameters
     ----------
     aim : (f q, 3) where the map puts samples of its facets.
     there : (k, 3) samples of the surface.
+    far : distance of a limb that the boundary has not reached. What is missed by less is a matter of the facet that is
+        closest: the boundary has slid away from where the map put it.
     """
     count = len(skin.cell)
     nodes, _ = tessellation(skin, points)
     away = closest(surface.points, surface.triangles, nodes)[1].reshape(count, -1).max(axis=1)
     facet, _, gap, _ = feet(skin, points, np.concatenate([aim, there]))
-    missed = gap[: len(aim)].reshape(count, -1).max(axis=1)
-    np.maximum.at(missed, facet[len(aim) :], gap[len(aim) :])
+    mapped = np.repeat(np.arange(count), len(aim) // count)
+    facet[: len(aim)] = np.where(gap[: len(aim)] > far, mapped, facet[: len(aim)])
+    missed = np.zeros(count)
+    np.maximum.at(missed, facet, gap)
     return Errors(away, missed)
 
 

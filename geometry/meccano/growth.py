@@ -43,11 +43,11 @@ from geometry.meccano.errors import Errors, errors_of, feet, surface_samples, un
 from geometry.meccano.fitting import fit_boundary, greville_points, harmonic, laid
 from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.moving import approached, smoothed, untangled
-from geometry.meccano.skin import side_coordinates, skin_of, values_at, values_on
+from geometry.meccano.skin import Skin, side_coordinates, skin_of, values_at, values_on
 from geometry.meccano.sliding import on_sheet, slid
 from geometry.meccano.solid import Solid, acting, moved, poor, sizes_of
 from geometry.meccano.springs import SAMPLES, springs_to
-from geometry.meccano.tmesh import refined
+from geometry.meccano.tmesh import DEPTH, refined
 from geometry.meccano.unfolding import unfolded
 from geometry.simplices.closest import closest
 from geometry.simplices.surface import Surface
@@ -152,7 +152,7 @@ def _started(task: _Task, start: Hierarchy) -> tuple[_Task, _State, str]:
     aim = task.target(*side_coordinates(skin, SAMPLES))
     picture = laid(_picture(start), values_at(skin, SAMPLES), aim)
     sheet = slid(skin, picture, surface, task.target, task.aims.tolerance)
-    if errors_of(skin, sheet, aim, task.there, surface).worst.max() <= _NEAR * surface.diagonal:
+    if _errors(task, skin, sheet, aim).worst.max() <= _NEAR * surface.diagonal:
         around = replace(task, target=on_sheet(skin, sheet, surface))
         solid = unfolded(skin, sheet, task.shown)
         if not len(solid.invalid):
@@ -201,7 +201,11 @@ def _grown(task: _Task, state: _State, start: Hierarchy, note: Callable[[str, _S
 
 def _measured(task: _Task, solid: Solid, aim: Array | None = None) -> _State:
     aim = task.target(*side_coordinates(solid.skin, SAMPLES)) if aim is None else aim
-    return _State(solid, aim, errors_of(solid.skin, solid.points, aim, task.there, task.surface))
+    return _State(solid, aim, _errors(task, solid.skin, solid.points, aim))
+
+
+def _errors(task: _Task, skin: Skin, points: Array, aim: Array) -> Errors:
+    return errors_of(skin, points, aim, task.there, task.surface, _LIMB * task.aims.tolerance)
 
 
 def _settled(task: _Task, state: _State, whole: bool) -> _State:
@@ -363,6 +367,7 @@ def _finer(solid: Solid, marks: Index, aims: Aims) -> Solid | None:
 
 def _refined(solid: Solid, marks: Index, most: int) -> Solid | None:
     """The same solid with marked cells split, as many as ``most`` cells allow; None if that allows none."""
+    marks = marks[solid.space.tmesh.level[marks] < DEPTH]
     while len(marks):
         # A cell split without its neighbours adds no function.
         tmesh = refined(solid.space.tmesh, marks, reach=1)

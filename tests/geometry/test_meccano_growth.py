@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from geometry.layouts.blocks import cube, pillowed
+from geometry.layouts.blocks import cube, pillowed, place
 from geometry.layouts.boundary_map import boundary_map, carried, on_surface
 from geometry.layouts.partition import partition
-from geometry.meccano.errors import Errors
-from geometry.meccano.fitting import laid
+from geometry.meccano.errors import Errors, errors_of
+from geometry.meccano.fitting import greville_points, laid
 from geometry.meccano.growth import Aims, _marked, nested, solid_of
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.shapes import ball
-from geometry.meccano.skin import skin_of
+from geometry.meccano.skin import outward, skin_of, values_at
 from geometry.meccano.solid import Solid
+from geometry.meccano.springs import SAMPLES
 from geometry.meccano.tmesh import uniform
 from iga.certificate import certify
 from iga.scaled_jacobian import least_of_elements
@@ -56,6 +58,24 @@ def test_cells_that_are_not_certified_are_named_and_split():
     solid = Solid(space, skin, np.zeros((space.n, 3)), np.array([40, 3]))
     fine = np.zeros(len(skin.cell))
     assert sorted(_marked(solid, Errors(fine, fine), Aims(1.0, 100)).tolist()) == [3, 40]
+
+
+def test_what_is_missed_by_little_is_a_matter_of_the_closest_facet():
+    """A cube on which one facet's aim lies above another: the boundary has slid away from the map."""
+    space = hierarchy(uniform(pillowed(cube()), 1, 1))
+    skin = skin_of(space)
+    points = place(space.tmesh.blocks, *greville_points(space))
+    aim = values_at(skin, SAMPLES) @ points
+    by_facet = aim.reshape(len(skin.cell), -1, 3)
+    above = by_facet[5] + 0.02 * outward(skin, points, SAMPLES).reshape(by_facet.shape)[5]
+    by_facet[11] = above
+    near, far = (
+        errors_of(skin, points, aim, np.empty((0, 3)), ball(4), limit).missed for limit in (0.1, 0.01)
+    )
+    assert near[5] == pytest.approx(0.02)
+    assert np.delete(near, 5).max() < 1e-12
+    assert far[11] == pytest.approx(0.02)
+    assert np.delete(far, 11).max() < 1e-12
 
 
 def test_growth_says_that_cells_are_spent():
