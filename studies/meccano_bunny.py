@@ -10,7 +10,7 @@ in the rows "paper"). At the small size, and where the data folder is missing, a
     optimal, cube       clamped hierarchical splines nearest to the same tetrahedra on the octree of round 0
     optimal, untangled  the same with inner control points moved
     pillowed            the default: no cell has two faces on the boundary, every cell is certified
-    pillowed, fine      the same at a tolerance of a thousandth of the diagonal (full size only)
+    pillowed, fine      the same within a thousandth of the diagonal (full size only)
 
 ``centre`` and ``gauss`` are cells with a negative centre and with a negative one of 2 x 2 x 2 Gauss points, ``refuted``
 Bezier elements that fold somewhere, proved. A cell on two sides of the cube has two faces in one tangent plane where
@@ -120,7 +120,7 @@ def run(size: Size, progress: Progress) -> Result:
     rows, solids = _paper(surface, tolerance, cells, progress)
     aims = {"pillowed": Settings(tolerance=0.01, max_cells=600)}
     if full:
-        aims = {"pillowed": Settings(max_cells=cells), "pillowed, fine": Settings(tolerance=0.001, max_cells=40000)}
+        aims = {"pillowed": Settings(max_cells=cells), "pillowed, fine": Settings(tolerance=0.00092, max_cells=80000)}
     made = {}
     for model, aim in aims.items():
         made[model], row = _pillowed(surface, aim, progress)
