@@ -120,7 +120,7 @@ def run(size: Size, progress: Progress) -> Result:
     rows, solids = _paper(surface, tolerance, cells, progress)
     aims = {"pillowed": Settings(tolerance=0.01, max_cells=600)}
     if full:
-        aims = {"pillowed": Settings(max_cells=cells), "pillowed, fine": Settings(tolerance=0.00092, max_cells=80000)}
+        aims = {"pillowed": Settings(max_cells=cells), "pillowed, fine": Settings(tolerance=0.00083, max_cells=100000)}
     made = {}
     for model, aim in aims.items():
         made[model], row = _pillowed(surface, aim, progress)
