@@ -1,10 +1,9 @@
 """A set of voxels with the topology of a solid: its meccano, when the solid has handles.
 
-The solid is turned so that its normals are as close to the axes as they can be: the rotation R minimises
-``sum_t A_t |R n_t|_1`` over the triangles (Huang et al., "l1-based construction of polycube maps from complex shapes",
-ACM Trans. Graph. 33(3), 2014, doi:10.1145/2602141). On grids that grow finer, the share of every voxel inside the
-solid is found exactly along lines parallel to the first axis; the voxels more than half inside make the first set.
-Single voxels then join or leave as long as that mends the topology, and afterwards as long as it lowers
+The solid is turned so that its normals are as close to the axes as they can be (`orientation`). On grids that grow
+finer, the share of every voxel inside the solid is found exactly along lines parallel to the first axis; the voxels
+more than half inside make the first set. Single voxels then join or leave as long as that mends the topology, and
+afterwards as long as it lowers
 
     sum over voxels of (share left out + share taken in from outside) + lambda (faces) / 6
 
@@ -17,19 +16,18 @@ Axis letters: v vertex, t triangle, i j k voxel.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from geometry.layouts.isotopy import deforms, simple
+from geometry.layouts.orientation import orientation
 from geometry.layouts.topology import defects_of, smooth_points, topology, topology_of
-from geometry.simplices.surface import Surface, area_vectors, genus
+from geometry.simplices.surface import Surface, genus
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 
@@ -250,50 +248,10 @@ def _lifted(share: Array, fullness: float) -> Array:
     return np.asarray(np.minimum(share / (2.0 * fullness), 1.0))
 
 
-def orientation(surface: Surface, trials: int = 400, seed: int = 7) -> Array:
-    """Rotation (3, 3) that brings the surface's normals nearest to the axes, in the mean; its rows are the axes.
-
-    The solid is longest along the first axis.
-    """
-    normals = area_vectors(surface)
-    centred = surface.points - surface.points.mean(axis=0)
-    principal = np.linalg.svd(centred, full_matrices=False)[2]
-    random = np.random.default_rng(seed)
-
-    def excess(rotation: Array) -> float:
-        return float(np.abs(normals @ rotation.T).sum())
-
-    candidates = [np.eye(3), principal, *(_turn(random.normal(size=4)) for _ in range(trials))]
-    found = min((_descend(rotation, excess) for rotation in sorted(candidates, key=excess)[:5]), key=excess)
-    found = found[np.argsort(-np.ptp(centred @ found.T, axis=0), kind="stable")]
-    return np.asarray(found * np.array([1.0, 1.0, np.sign(np.linalg.det(found))])[:, None])
-
-
 def shares(surface: Surface, rotation: Array, origin: Array, spacing: float, shape: tuple[int, int, int]) -> Array:
     """Share (i, j, k) of each voxel of a grid that lies inside the surface."""
     points = (surface.points @ rotation.T - origin) / spacing
     return np.asarray(_shares(points, surface.triangles, shape[0], shape[1], shape[2], LINES))
-
-
-def _turn(quaternion: Array) -> Array:
-    """Rotation (3, 3) of a quaternion (4,) of any length but 0."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])
-
-
-def _descend(rotation: Array, value: Callable[[Array], float]) -> Array:
-    """Lower the value by small turns of a rotation."""
-
-    def turned(angles: Array) -> Array:
-        return _turn(np.concatenate(([1.0], angles))) @ rotation
-
-    simplex = np.vstack((np.zeros(3), 0.1 * np.eye(3)))
-    options = {"xatol": 1e-4, "fatol": 1e-9, "initial_simplex": simplex}
-    return turned(minimize(lambda angles: value(turned(angles)), np.zeros(3), method="Nelder-Mead", options=options).x)
 
 
 @njit(cache=True)

@@ -45,14 +45,13 @@ from geometry.meccano.hierarchical import Hierarchy, hierarchy
 from geometry.meccano.moving import approached, smoothed, untangled
 from geometry.meccano.skin import Skin, side_coordinates, skin_of, values_at, values_on
 from geometry.meccano.sliding import on_sheet, slid
-from geometry.meccano.solid import Solid, acting, moved, poor, sizes_of
+from geometry.meccano.solid import Solid, acting, held, moved, poor, sizes_of
 from geometry.meccano.springs import SAMPLES, springs_to
 from geometry.meccano.tmesh import DEPTH, refined
 from geometry.meccano.unfolding import unfolded
 from geometry.simplices.closest import closest
 from geometry.simplices.surface import Surface
 from iga.progress import QUIET, Progress
-from iga.tether import Tether
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -150,20 +149,19 @@ def _started(task: _Task, start: Hierarchy) -> tuple[_Task, _State, str]:
     """The first solid, what its boundary aims for from then on, and how it was made."""
     skin, surface = skin_of(start), task.surface
     aim = task.target(*side_coordinates(skin, SAMPLES))
-    picture = laid(_picture(start), values_at(skin, SAMPLES), aim)
-    sheet = slid(skin, picture, surface, task.target, task.aims.tolerance)
+    picture = place(start.tmesh.blocks, *greville_points(start))
+    around = laid(picture, values_at(skin, SAMPLES), aim)
+    sheet = slid(skin, around, surface, aim, task.aims.tolerance)
     if _errors(task, skin, sheet, aim).worst.max() <= _NEAR * surface.diagonal:
-        around = replace(task, target=on_sheet(skin, sheet, surface))
+        own = replace(task, target=on_sheet(skin, sheet, surface))
         solid = unfolded(skin, sheet, task.shown)
         if not len(solid.invalid):
-            return around, _measured(around, solid), "unfolding"
-    return task, _begun(task, start), "drawing"
+            return own, _measured(own, solid), "unfolding"
+    return task, _begun(task, _first(skin, picture, around, aim, task.shown), aim), "drawing"
 
 
-def _begun(task: _Task, start: Hierarchy) -> _State:
+def _begun(task: _Task, solid: Solid, aim: Array) -> _State:
     """The first solid, drawn towards the map as far as that comes before long."""
-    solid = _first(start, task.target, task.shown)
-    aim = task.target(*side_coordinates(solid.skin, SAMPLES))
     for fairness in _FAIRNESS:
         solid = _drawn(solid, aim, fairness, task)
     state = _measured(task, solid, aim)
@@ -307,22 +305,18 @@ _SHARE = 0.2
 _GROWTH = 2.2
 
 
-def _picture(space: Hierarchy) -> Array:
-    """Control points (n, 3) of the meccano itself."""
-    return place(space.tmesh.blocks, *greville_points(space))
-
-
-def _first(space: Hierarchy, target: Target, shown: Progress) -> Solid:
+def _first(skin: Skin, picture: Array, around: Array, aim: Array, shown: Progress) -> Solid:
     """A smooth, valid solid near the surface: its sides are nearly bilinear.
 
     Where the inside of that cannot be untangled, the start is the picture of the meccano itself, laid onto the surface.
+
+    Parameters
+    ----------
+    picture, around : (n, 3) the meccano itself, and laid onto the surface.
     """
-    skin = skin_of(space)
-    picture = _picture(space)
-    where = target(*side_coordinates(skin, SAMPLES))
-    blob = fit_boundary(skin, picture, SAMPLES, where, fairness=100.0)
-    for points in (harmonic(space, blob, skin.functions), laid(picture, values_at(skin, SAMPLES), where)):
-        solid = _untangled(Solid(space, skin, points, np.empty(0, dtype=np.int64)), False, shown)
+    blob = fit_boundary(skin, picture, SAMPLES, aim, fairness=100.0)
+    for points in (harmonic(skin.space, blob, skin.functions), around):
+        solid = _untangled(Solid(skin.space, skin, points, np.empty(0, dtype=np.int64)), False, shown)
         if not len(solid.invalid):
             break
     return solid
@@ -337,11 +331,9 @@ def _drawn(solid: Solid, aim: Array, fairness: float, task: _Task) -> Solid:
     """Draw the boundary towards its fit to ``aim`` with ever stiffer springs, as far as the solid stays valid."""
     skin = solid.skin
     wanted = fit_boundary(skin, solid.points, SAMPLES, aim, fairness=fairness)[skin.functions]
-    rows, n = len(skin.functions), solid.space.n
-    pick = csr_array((np.ones(rows), (np.arange(rows), skin.functions)), shape=(rows, n))
     size = sizes_of(solid)[skin.functions]
-    springs = [Tether(pick, wanted, np.zeros((rows, 3)), w / size**2, 1.0) for w in _STIFF]
-    found = smoothed(solid, np.ones(n, dtype=bool), 30, tether=springs, shown=task.shown)
+    springs = [held(skin, wanted, w / size**2) for w in _STIFF]
+    found = smoothed(solid, np.ones(solid.space.n, dtype=bool), 30, tether=springs, shown=task.shown)
     goal = found.points.copy()
     goal[skin.functions] = wanted
     return approached(found, goal)

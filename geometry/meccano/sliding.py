@@ -26,7 +26,7 @@ from scipy.sparse import csr_array, eye_array
 from geometry.meccano.collocation import collocation
 from geometry.meccano.errors import unit_normals
 from geometry.meccano.fitting import fit_boundary
-from geometry.meccano.skin import Skin, outward, places_on_sides, side_coordinates, values_at
+from geometry.meccano.skin import Skin, outward, places_on_sides, values_at
 from geometry.meccano.springs import SAMPLES, springs_to
 from geometry.simplices.closest import closest, closest_facing
 from geometry.simplices.surface import Surface
@@ -54,20 +54,19 @@ _TURNS = 14
 _STEPS = 15
 
 
-def slid(skin: Skin, points: Array, surface: Surface, target: Target, tolerance: float) -> Array:
+def slid(skin: Skin, points: Array, surface: Surface, aim: Array, tolerance: float) -> Array:
     """Control points (n, 3) of which those of boundary functions make a sheet near the surface, as straight as may be.
 
     Parameters
     ----------
     points : (n, 3), from which the fit of the map starts.
-    target : points (q, 3) of the surface for boundary sides (q,) and coordinates s (q, 2).
+    aim : (f q, 3) where the map puts `springs.SAMPLES` of all facets.
     tolerance : distance from the surface that counts as near.
 
     Raises
     ------
     InputError : the fit does not converge.
     """
-    aim = target(*side_coordinates(skin, SAMPLES))
     made = points
     for fairness in _FAIRNESS:
         made = fit_boundary(skin, made, SAMPLES, aim, fairness=fairness)

@@ -1,6 +1,6 @@
 """A solid on a T-mesh, and what acts where in it.
 
-Axis letters: c leaf cell, n function, e element.
+Axis letters: c leaf cell, n function, m boundary function, e element.
 """
 
 from __future__ import annotations
@@ -9,12 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from geometry.meccano.hierarchical import Hierarchy
 from geometry.meccano.skin import Skin
 from iga.distortion import own_shapes
 from iga.domain import Domain, Space
 from iga.scaled_jacobian import least_of_elements
+from iga.tether import Tether
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -82,3 +84,10 @@ def sizes_of(solid: Solid) -> Array:
     least = np.full(solid.space.n, np.inf)
     np.minimum.at(least, X.indices, np.repeat(size, np.diff(X.indptr)))
     return least
+
+
+def held(skin: Skin, places: Array, weights: Array) -> Tether:
+    """Springs of weights (m,) that hold the boundary functions' control points at places (m, 3)."""
+    rows = len(skin.functions)
+    pick = csr_array((np.ones(rows), (np.arange(rows), skin.functions)), shape=(rows, skin.space.n))
+    return Tether(pick, places, np.zeros((rows, 3)), weights, 1.0)

@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from geometry.meccano import moving
 from geometry.meccano.fitting import harmonic
 from geometry.meccano.skin import Skin
-from geometry.meccano.solid import Solid, sizes_of
+from geometry.meccano.solid import Solid, held, sizes_of
 from iga.progress import QUIET, Progress
-from iga.tether import Tether
 
 Array = NDArray[np.float64]
 
@@ -32,10 +30,7 @@ def unfolded(skin: Skin, sheet: Array, shown: Progress = QUIET) -> Solid:
     ----------
     sheet : control points (n, 3), of which those of boundary functions count.
     """
-    space = skin.space
-    solid = Solid(space, skin, harmonic(space, sheet, skin.functions), np.empty(0, dtype=np.int64))
-    rows, n = len(skin.functions), space.n
-    pick = csr_array((np.ones(rows), (np.arange(rows), skin.functions)), shape=(rows, n))
+    inside = harmonic(skin.space, sheet, skin.functions)
+    solid = Solid(skin.space, skin, inside, np.empty(0, dtype=np.int64))
     weights = (_HOLD * sizes_of(solid)[skin.functions]) ** -2.0
-    springs = Tether(pick, sheet[skin.functions], np.zeros((rows, 3)), weights, 1.0)
-    return moving.unfolded(solid, springs, shown)
+    return moving.unfolded(solid, held(skin, sheet[skin.functions], weights), shown)

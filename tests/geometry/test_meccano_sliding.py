@@ -47,7 +47,7 @@ def test_a_twisted_sheet_is_straightened_near_the_surface():
     target = _twisted(points)
     aim = target(*side_coordinates(skin, SAMPLES))
     before = sines(skin, fit_boundary(skin, points, SAMPLES, aim), surface)
-    made = slid(skin, points, surface, target, 0.01 * surface.diagonal)
+    made = slid(skin, points, surface, aim, 0.01 * surface.diagonal)
     assert before.min() < 0.3
     assert sines(skin, made, surface).min() > before.min() + 0.2
     assert distances(surface, *tessellation(skin, made))["relative"] < 0.02
@@ -57,7 +57,8 @@ def test_a_twisted_sheet_is_straightened_near_the_surface():
 
 def test_the_inside_of_a_sheet_is_unfolded():
     surface, skin, points = _ball()
-    solid = unfolded(skin, slid(skin, points, surface, _twisted(points), 0.01 * surface.diagonal))
+    aim = _twisted(points)(*side_coordinates(skin, SAMPLES))
+    solid = unfolded(skin, slid(skin, points, surface, aim, 0.01 * surface.diagonal))
     assert not len(solid.invalid)
     assert (certify(solid.domain).verdict == 1).all()
     assert least_of_elements(solid.domain).min() > 0.1

@@ -11,8 +11,9 @@ from geometry.layouts.blocks import polycube
 from geometry.layouts.frame import frame_of
 from geometry.layouts.isotopy import deforms
 from geometry.layouts.merging import MOST, merged
+from geometry.layouts.orientation import orientation
 from geometry.layouts.topology import topology
-from geometry.layouts.voxels import Voxels, orientation, place, shares
+from geometry.layouts.voxels import Voxels, place, shares
 from geometry.simplices.surface import Surface, volume
 from iga.errors import InputError
 from tests.surfaces import body, box, torus
