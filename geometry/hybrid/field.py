@@ -44,15 +44,29 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 RIDGE = 0.5
+"""Slope of the distance above which it still rises: along the skin's normals it is 1, over a ridge less than 0."""
 FLAT = 0.6
-PATIENCE = 8
-"""Steps that do not raise h by 0.002 after which a path ends where h was largest."""
+"""Average slope of a ridge at most: that of two unit slopes which differ by 106 degrees. The sheet that runs into an
+edge of 90 degrees has 0.71 and is no ridge."""
 END = 0.97
+"""Value of h at which a path has arrived; at 1 itself, a maximum, f has no direction."""
 STEP = 0.2
-"""Step over the cube root of the tetrahedron's volume."""
-ENOUGH = 100_000
-"""Tetrahedra above which the filling is not cut again."""
-CUTS = 2
+"""Step over the cube root of the tetrahedron's volume, so that about ten steps cross one."""
+LEAVE = 0.1
+"""Share of the first step that must lie within the tetrahedron by which a path leaves the skin."""
+OUTSIDE, OUTSIDE_FIRST = -1e-9, -1e-3
+"""Least barycentric coordinate within a tetrahedron: rounding; and of the first step, along a normal of faces that the
+tetrahedra only approximate."""
+RISE, PATIENCE = 2e-3, 8
+"""A path ends where h was largest when it has not risen by so much for so many steps: it is past the mid-structure."""
+MOST = 4000
+"""Steps of a path at most."""
+HOPS = 200
+"""Tetrahedra that the walk to a point passes at most; a step is shorter than a tetrahedron, so it passes a few."""
+STILL = 1e-6
+"""Length of f, which is about 1, below which it has no direction."""
+ENOUGH, CUTS = 100_000, 2
+"""Tetrahedra above which the filling is not cut again, and how often it is cut."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,12 +237,19 @@ def _weights(points: Any, tets: Any, t: Any, x: Any) -> Any:
 
 
 @njit(cache=True)
+def _length(points: Any, tets: Any, t: Any) -> Any:
+    """Cube root of a tetrahedron's volume."""
+    p = points[tets[t]]
+    return (abs(np.linalg.det(p[1:] - p[0])) / 6.0) ** (1.0 / 3.0)
+
+
+@njit(cache=True)
 def _walk(points: Any, tets: Any, neighbours: Any, t: Any, x: Any) -> Any:
     """Tetrahedron that holds a point, from one nearby, or -1."""
-    for _ in range(200):
+    for _ in range(HOPS):
         w = _weights(points, tets, t, x)
         k = np.argmin(w)
-        if w[k] >= -1e-9:
+        if w[k] >= OUTSIDE:
             return t
         t = neighbours[t, k]
         if t < 0:
@@ -237,77 +258,74 @@ def _walk(points: Any, tets: Any, neighbours: Any, t: Any, x: Any) -> Any:
 
 
 @njit(cache=True)
+def _leave(points: Any, tets: Any, neighbours: Any, around: Any, x: Any, direction: Any) -> Any:
+    """First step from a vertex into one of the tetrahedra around it: the tetrahedron it ends in, or -1, and its end."""
+    for own in around:
+        size = STEP * _length(points, tets, own)
+        if _weights(points, tets, own, x + LEAVE * size * direction).min() >= OUTSIDE_FIRST:
+            end = x + size * direction
+            t = _walk(points, tets, neighbours, own, end)
+            if t >= 0:
+                return t, end
+    return -1, x
+
+
+@njit(cache=True)
+def _follow(points: Any, tets: Any, neighbours: Any, harmonic: Any, flow: Any, t: Any, line: Any, along: Any) -> Any:
+    """Go on along f from line[1] in tetrahedron t; places and lengths are written. Returns the last place's number."""
+    count, best, highest = 1, 1, 0.0
+    while count < MOST:
+        w = _weights(points, tets, t, line[count])
+        h, f = 0.0, np.zeros(3)
+        for k in range(4):
+            h += w[k] * harmonic[tets[t, k]]
+            f += w[k] * flow[tets[t, k]]
+        size = np.sqrt((f**2).sum())
+        if h >= END or size < STILL:
+            break
+        step = STEP * _length(points, tets, t)
+        end = line[count] + step * f / size
+        t = _walk(points, tets, neighbours, t, end)
+        if t < 0:
+            break
+        w = _weights(points, tets, t, end)
+        ahead = 0.0
+        for k in range(4):
+            ahead += w[k] * harmonic[tets[t, k]]
+        if ahead > highest + RISE:
+            highest, best = ahead, count + 1
+        elif count - best > PATIENCE:
+            break
+        count += 1
+        line[count] = end
+        along[count] = along[count - 1] + step
+    return best
+
+
+@njit(cache=True)
 def _trace(
     points: Any, tets: Any, neighbours: Any, harmonic: Any, flow: Any, around: Any, first: Any, starts: Any,
     directions: Any, samples: Any,
 ) -> Any:
-    most = 4000
     places = np.zeros((len(starts), samples, 3))
     lengths = np.zeros(len(starts))
-    line = np.zeros((most + 2, 3))
-    along = np.zeros(most + 2)
+    line = np.zeros((MOST + 2, 3))
+    along = np.zeros(MOST + 2)
     for i in range(len(starts)):
         v = starts[i]
-        x = points[v].copy()
-        line[0] = x
-        count, t = 0, -1
-        size = 0.0
-        # The first step leaves the vertex into one of its tetrahedra.
-        for j in range(first[v], first[v + 1]):
-            own = around[j]
-            p = points[tets[own]]
-            volume = abs(np.linalg.det(p[1:] - p[0])) / 6.0
-            size = STEP * volume ** (1.0 / 3.0)
-            y = x + size * directions[i]
-            w = _weights(points, tets, own, x + 0.1 * size * directions[i])
-            if w.min() >= -1e-3:
-                t = _walk(points, tets, neighbours, own, y)
-                if t >= 0:
-                    x = y
-                    break
-        if t >= 0:
-            count = 1
-            line[1] = x
-            along[1] = np.sqrt(((line[1] - line[0]) ** 2).sum())
-            highest, best = 0.0, 1
-            while count < most:
-                w = _weights(points, tets, t, x)
-                h = 0.0
-                f = np.zeros(3)
-                for k in range(4):
-                    h += w[k] * harmonic[tets[t, k]]
-                    f += w[k] * flow[tets[t, k]]
-                size_f = np.sqrt((f**2).sum())
-                if h >= END or size_f < 1e-6:
-                    break
-                p = points[tets[t]]
-                step = STEP * (abs(np.linalg.det(p[1:] - p[0])) / 6.0) ** (1.0 / 3.0)
-                y = x + step * f / size_f
-                there = _walk(points, tets, neighbours, t, y)
-                if there < 0:
-                    break
-                w = _weights(points, tets, there, y)
-                ahead = 0.0
-                for k in range(4):
-                    ahead += w[k] * harmonic[tets[there, k]]
-                if ahead > highest + 2e-3:
-                    highest, best = ahead, count + 1
-                elif count - best > PATIENCE:  # past the mid-structure
-                    break
-                t, x = there, y
-                count += 1
-                line[count] = x
-                along[count] = along[count - 1] + step
-            count = best
-        lengths[i] = along[count] if count else 0.0
+        line[0] = points[v]
+        t, line[1] = _leave(points, tets, neighbours, around[first[v] : first[v + 1]], line[0], directions[i])
+        if t < 0:
+            places[i] = line[0]
+            continue
+        along[1] = np.sqrt(((line[1] - line[0]) ** 2).sum())
+        count = _follow(points, tets, neighbours, harmonic, flow, t, line, along)
+        lengths[i] = along[count]
         at = 0
         for s in range(samples):
             wanted = lengths[i] * s / (samples - 1)
             while at + 1 < count and along[at + 1] < wanted:
                 at += 1
-            if count == 0:
-                places[i, s] = line[0]
-            else:
-                share = (wanted - along[at]) / max(along[at + 1] - along[at], 1e-300)
-                places[i, s] = line[at] + min(1.0, max(0.0, share)) * (line[at + 1] - line[at])
+            share = (wanted - along[at]) / max(along[at + 1] - along[at], 1e-300)
+            places[i, s] = line[at] + min(1.0, max(0.0, share)) * (line[at + 1] - line[at])
     return places, lengths
