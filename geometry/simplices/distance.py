@@ -1,9 +1,9 @@
 """Distances between a surface and another triangulation, in both directions.
 
-Rule: each triangle is sampled at a lattice of points, its corners among them, whose spacing is at most a stated part
-of the surface's diagonal, and the closest point of the other triangulation is found for each sample exactly. The
-distance to a set changes by no more than one moves, so the true maximum exceeds the sampled one by no more than the
-spacing.
+Rule: each triangle is sampled at points, its corners among them, of which one is no farther from any point of the
+triangle than a stated part of the surface's diagonal, and the closest point of the other triangulation is found for
+each sample exactly. The distance to a set changes by no more than one moves, so the true maximum exceeds the sampled
+one by no more than the spacing.
 
 Axis letters: v vertex, t triangle, q query point.
 """
@@ -21,6 +21,10 @@ Index = NDArray[np.int64]
 
 SPACING = 0.005
 """Largest spacing of samples, in diagonals of the surface."""
+ROW = 0.8
+"""Steps between the rows of a needle; with half a step along a row, 0.94 steps to the nearest sample."""
+NEEDLE = 8
+"""Parts along the longest side, over rows, of a needle: its rows have a quarter of the lattice's points or fewer."""
 
 
 def distances(
@@ -47,14 +51,29 @@ def distances(
 
 
 def samples(points: Array, triangles: Index, step: float) -> Array:
-    """Points (q, 3) on triangles with at most that spacing, corners included."""
+    """Points (q, 3) on triangles, of which the nearest to any point of a triangle is no farther than step.
+
+    Triangles get a lattice of equal parts, and needles, where that would be many more points, rows along their longest
+    side: its angles are acute, so that a row reaches at least as far as the next.
+    """
     corners = points[triangles]
-    longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
+    sides = np.roll(corners, -1, axis=1) - corners
+    lengths = np.linalg.norm(sides, axis=2)
+    longest = lengths.max(axis=1)
+    height = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / np.maximum(longest, 1e-300)
     parts = np.maximum(np.ceil(longest / step), 1).astype(np.int64)
+    rows = np.maximum(np.ceil(height / (ROW * step)), 1).astype(np.int64)
+    needles = NEEDLE * (rows + 1) < parts
     result = [points[np.unique(triangles)]]
-    for n in np.unique(parts):
+    for n in np.unique(parts[~needles]):
         i, j = (x.ravel() for x in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
         keep = (i + j <= n) & (i < n) & (j < n) & (i + j > 0)
         weights = np.stack([i, j, n - i - j], axis=1)[keep] / n
-        result.append((weights @ corners[parts == n]).reshape(-1, 3))
+        result.append((weights @ corners[~needles & (parts == n)]).reshape(-1, 3))
+    first = lengths.argmax(axis=1)
+    turned = corners[np.arange(len(corners))[:, None], (first[:, None] + np.arange(3)) % 3]
+    for n, m in np.unique(np.stack([parts, rows], axis=1)[needles], axis=0):
+        along, up = (x.ravel() for x in np.meshgrid(np.arange(n + 1) / n, np.arange(m) / m, indexing="ij"))
+        weights = np.stack([(1.0 - along) * (1.0 - up), along * (1.0 - up), up], axis=1)
+        result.append((weights @ turned[needles & (parts == n) & (rows == m)]).reshape(-1, 3))
     return np.concatenate(result)

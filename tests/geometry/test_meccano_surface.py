@@ -276,6 +276,23 @@ def test_closest_points_and_distances():
     assert one["from_input"] < 0.5
 
 
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(1e-4, 1.0), st.floats(0.01, 0.5))
+def test_samples_leave_no_gap_and_needles_have_few(seed, thin, step):
+    rng = np.random.default_rng(seed)
+    corners = rng.normal(size=(3, 3))
+    corners /= np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max()
+    foot = corners[0] + rng.uniform() * (corners[1] - corners[0])
+    corners[2] = foot + thin * (corners[2] - foot)
+    found = samples(corners, np.arange(3)[None], step)
+    places = rng.dirichlet(np.full(3, 0.5), size=200) @ corners
+    assert np.linalg.norm(places[:, None] - found[None], axis=2).min(axis=1).max() <= step
+    # As many as squares of half a step over the longest side and the height, and some for each row's ends.
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
+    height = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0])) / sides.max()
+    assert len(found) <= 8 * (sides.max() / step + 2) * (height / step + 2)
+
+
 MODELS = {
     "airplane1.off": (9417, 18830, 0, 0.072948), "bob_small.ply": (250, 500, 1, 0.67915),
     "bone.off": (6046, 12088, 0, 0.024787), "bunny_22k.off": (11247, 22490, 0, 1.3066),
