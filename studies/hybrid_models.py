@@ -8,10 +8,10 @@ solid by solid where a file has several. A solid that is refused has a row that 
 between the two sides of an edge of the skin, ``distance`` that of the skin to the CAD surfaces, both relative to the
 diagonal, ``jump`` the largest jump of a random field with coefficients in [-1, 1], and of the map relative to the
 diagonal, across all facets between two cells at random points (`iga.conformity`). ``volume_error`` is
-relative to the volume that the CAD kernel integrates, ``surfaces_error`` to the integral over the CAD surfaces between
-their trimming curves, and ``spread`` is how well either is defined: what they change when the integral is taken about
-another point, because the file's faces do not meet exactly (`geometry.cad.integrals`). ``read``, ``skin`` and
-``inside`` are seconds of the stages, ``cpu`` those of the processor, in all.
+relative to the volume that the CAD kernel integrates, ``closed_error`` to the integral over the CAD surfaces between
+their trimming curves with the gaps between faces closed by strips, and ``spread`` is how well the kernel's is defined:
+what it changes when the integral is taken about another point, because faces do not meet (`geometry.cad.integrals`).
+``read``, ``skin`` and ``inside`` are seconds of the stages, ``cpu`` those of the processor, in all.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ COLUMNS = (
     Column("jump", at_most=1e-12, format=".1e"),
     Column("distance", relative=0.5, absolute=1e-6, format=".1e"),
     Column("volume_error", at_most=1e-4, format=".1e"),
-    Column("surfaces_error", at_most=1e-4, format=".1e"),
+    Column("closed_error", at_most=1e-4, format=".1e"),
     Column("spread", at_most=1e-3, format=".1e"),
     Column("read", "time", "s"),
     Column("skin", "time", "s"),
@@ -146,7 +146,7 @@ def row_of(name: str, found: dict[str, Any]) -> dict[str, Value]:
         "gap": report["watertight_gap"],
         "distance": found["distance"]["relative"],
         "volume_error": abs(found["volume"] / report["cad_volume"] - 1.0),
-        "surfaces_error": abs(found["volume"] / report["surfaces_volume"] - 1.0), "spread": report["volume_spread"],
+        "closed_error": abs(found["volume"] / report["closed_volume"] - 1.0), "spread": report["volume_spread"],
         "read": stages.get("read"),
         "skin": stages.get("skin"), "inside": stages.get("inside"), "seconds": found["seconds"],
     }  # fmt: skip

@@ -8,9 +8,14 @@ For a face with surface S over Omega and outward normal n = +-S_u x S_v
 by Gauss rules between knots; along trimming curves intervals are halved until their integrals change no more.
 
 On a closed surface N = 0. Where a file's faces do not meet, N measures it: V depends on the centre c by N . dc / 3, so
-no volume of such a file is known better than |N| D / 6 (c moved by half the diagonal D), whoever integrates it.
+no integral over such faces is known better than |N| D / 6 (c moved by half the diagonal D), whoever integrates it. What
+lies between them is closed by ruled strips from the trimming curve S(c(t)) of each face to the edge C(t),
 
-Axis letters: f face, k interval, q point of a curve, s point on the way to it, c component.
+    x(s, t) = S(c(t)) + s (C(t) - S(c(t))),   s in [0, 1],
+
+whose ends meet at the vertices; with them N = 0 and V is that of a closed body, about any centre.
+
+Axis letters: f face, e edge, k interval, q point of a curve, s point on the way to it, c component.
 """
 
 from __future__ import annotations
@@ -36,7 +41,9 @@ _X, _W = 0.5 * (1.0 + _X), 0.5 * _W
 
 @dataclass(frozen=True, eq=False)
 class Integrals:
-    """Integrals over faces: (f,) share in the volume about the middle of the vertices, (f,) area, (f, 3) normal."""
+    """Integrals over faces, or strips: (f,) share in the volume about the middle of the vertices, (f,) area, (f, 3)
+    normal.
+    """
 
     volume: Array
     area: Array
@@ -48,6 +55,21 @@ def integrals_of(brep: Brep) -> Integrals:
     centre = brep.vertices.mean(axis=0)
     found = np.array([_face(face, centre) for face in brep.faces])
     return Integrals(found[:, 0], found[:, 1], found[:, 2:])
+
+
+def strips_of(brep: Brep) -> Integrals:
+    """Integrals over the strips at each edge (e,) that close what the faces leave open; zero at degenerate edges.
+
+    The area is that of the strips, which may be folded: only its size says something.
+    """
+    centre = brep.vertices.mean(axis=0)
+    found = np.array([_strips(brep, e, centre) for e in range(len(brep.edges))])
+    return Integrals(found[:, 0], found[:, 1], found[:, 2:])
+
+
+def closed_volume(found: Integrals, strips: Integrals) -> float:
+    """Volume of the faces with the strips between them."""
+    return float(found.volume.sum() + strips.volume.sum())
 
 
 def volume_spread(brep: Brep, found: Integrals) -> float:
@@ -96,6 +118,31 @@ def _face(face: Face, centre: Array) -> Array:
     # Loops have the inside on their left in the parameter plane, whichever side of the surface is outside.
     signs = np.array([-1.0, 1.0, -1.0, -1.0, -1.0]) if face.reversed else np.ones(5)
     return np.asarray(signs * total)
+
+
+def _strips(brep: Brep, number: int, centre: Array) -> Array:
+    """Volume, area and normal (5,) of the strips between an edge and its faces."""
+    edge, total = brep.edges[number], np.zeros(5)
+    if edge.degenerate:
+        return total
+    for f, k, j in brep.coedges_of[number]:
+        face, c = brep.faces[f], brep.faces[f].loops[k][j]
+        ends = np.unique(np.concatenate([edge.curve.knots, c.curve.knots]))
+        length = np.repeat(np.diff(ends), POINTS)
+        t = np.repeat(ends[:-1], POINTS) + length * np.tile(_X, len(ends) - 1)
+        x, du, dv = surface_frame(face.surface, curve_points(c.curve, t))
+        slope = curve_tangents(c.curve, t)
+        dx, way = du * slope[:, :1] + dv * slope[:, 1:], curve_points(edge.curve, t) - x
+        turn = curve_tangents(edge.curve, t) - dx
+        # The integrands are of degree two in s.
+        at = np.array([0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)])[:, None, None]
+        n = np.cross(way, dx + at * turn)
+        F = np.stack([np.einsum("sqc,sqc->sq", x + at * way - centre, n) / 3.0, np.linalg.norm(n, axis=-1),
+                      *np.moveaxis(n, -1, 0)])  # fmt: skip
+        sign = -1.0 if c.reversed != face.reversed else 1.0
+        signs = np.array([sign, 1.0, sign, sign, sign])
+        total += signs * (0.5 * F.sum(axis=1) @ (length * np.tile(_W, len(ends) - 1)))
+    return np.asarray(total)
 
 
 def _inner(face: Face, uv: Array, start: float, centre: Array) -> Array:

@@ -34,8 +34,9 @@ r"""The geometry source "hybrid": trimmed CAD solids as watertight splines and a
                 The report says in numbers what was preserved (`comparison`)
 
 The report sets the volume against the CAD kernel's (``cad_volume``), against the integral over the CAD surfaces between
-their trimming curves (``surfaces_volume``), and says how well either is defined where the file's faces do not meet
-(``volume_spread``, relative; see `integrals`).
+their trimming curves (``surfaces_volume``), says how well either is defined where the file's faces do not meet
+(``volume_spread``, relative), and what the volume is with the gaps between faces and edges closed (``closed_volume``;
+see `integrals`).
 
 The input is a STEP or IGES file, or the name of a shape (`shapes`). Boundaries carry the names of the CAD faces.
 """
@@ -50,7 +51,7 @@ from typing import Any
 import numpy as np
 
 from geometry.cad.brep import Brep
-from geometry.cad.integrals import integrals_of, volume_spread
+from geometry.cad.integrals import closed_volume, integrals_of, strips_of, volume_spread
 from geometry.cad.reading import cad_format, read_cad
 from geometry.hybrid import refinement
 from geometry.hybrid.comparison import preserved
@@ -143,7 +144,8 @@ def _built(brep: Brep, settings: Settings, source: str, shown: Progress) -> tupl
     exact = integrals_of(brep)
     told |= {
         "skin": kind, "cad_faces": len(brep.faces), "cad_volume": brep.volume,
-        "surfaces_volume": float(exact.volume.sum()), "volume_spread": volume_spread(brep, exact), "stages": stages,
+        "surfaces_volume": float(exact.volume.sum()), "volume_spread": volume_spread(brep, exact),
+        "closed_volume": closed_volume(exact, strips_of(brep)), "stages": stages,
     }  # fmt: skip
     if distance is not None:
         reach = float(distance) * brep.diagonal
