@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.hybrid.conics import in_quadratics
 from geometry.hybrid.hbrep import DEGREE
 from geometry.knots import apply, elevation
 from geometry.patch import Patch
@@ -196,7 +197,8 @@ def arcs_as_cubics(surface: Patch, tolerance: float) -> tuple[Patch, Map, Map] |
 
     Parameters
     ----------
-    surface : rational; a direction that is no arc must be polynomial, of degree three at most.
+    surface : rational; a direction that is no arc must be polynomial, of degree three at most. Arcs of degree three are
+        lowered first (`conics`).
     tolerance : largest distance in space.
 
     Returns
@@ -204,6 +206,7 @@ def arcs_as_cubics(surface: Patch, tolerance: float) -> tuple[Patch, Map, Map] |
     The spline, the map of parameters (q, 2) of the surface to those of the spline, and its inverse; None if the surface
     is something else.
     """
+    surface = in_quadratics(surface)
     w = surface.weights
     if w is None or np.abs(w - np.outer(w[:, 0], w[0]) / w[0, 0]).max() > PRODUCT * w.max():
         return None

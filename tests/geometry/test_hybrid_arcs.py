@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geometry.cad.brep import surface_frame, surface_points
 from geometry.hybrid.arcs import Arcs, arcs_as_cubics, arcs_of, arm, cubics_of, from_cubic, radial_error, to_cubic
+from geometry.hybrid.conics import in_quadratics
 from geometry.patch import Patch
 
 Array = NDArray[np.float64]
@@ -111,6 +112,38 @@ def test_parameters_of_arcs_with_unequal_outer_weights() -> None:
     u = np.linspace(0.0, np.pi, 41)
     assert np.abs(from_cubic(arcs, to_cubic(arcs, u)) - u).max() < 1e-13
     assert (np.diff(to_cubic(arcs, u)) > 0.0).all()
+
+
+@pytest.mark.parametrize("angle", [1.0, np.pi, 1.2 * np.pi])
+def test_cubic_arcs_are_lowered_and_halved(angle: float) -> None:
+    """Half a turn and more as one piece, raised to degree three: the same points at the same parameters."""
+    w = np.array([1.0, np.cos(0.5 * angle), 1.0])
+    # w_1 P_1, finite for half a turn too.
+    H = np.array([(np.cos(0.5 * angle), -np.sin(0.5 * angle), 1.0), (1.0, 0.0, w[1]),
+                  (np.cos(0.5 * angle), np.sin(0.5 * angle), 1.0)])  # fmt: skip
+    raised = np.array([H[0], (H[0] + 2.0 * H[1]) / 3.0, (2.0 * H[1] + H[2]) / 3.0, H[2]])
+    control = np.stack([np.append(raised[:, :2] / raised[:, 2:], np.full((4, 1), z), axis=1) for z in (0.0, 1.0)])
+    flat = np.array([0.0, 0.0, 1.0, 1.0])
+    surface = Patch((flat, np.repeat([2.0, 5.0], 4)), control, np.tile(raised[:, 2], (2, 1)))
+    lowered = in_quadratics(surface)
+    assert lowered.degree == (1, 2)
+    assert len(np.unique(lowered.knots[1])) == (2 if angle < 3.0 else 3)
+    uv = np.random.default_rng(5).uniform((0.0, 2.0), (1.0, 5.0), (100, 2))
+    assert np.abs(surface_points(lowered, uv) - surface_points(surface, uv)).max() < 1e-13
+    found = arcs_as_cubics(surface, 1e-6)
+    assert found is not None
+    made, there, _ = found
+    assert np.linalg.norm(surface_points(made, there(uv)) - surface_points(surface, uv), axis=1).max() <= 1e-6
+
+
+def test_cubics_that_are_no_conics_are_left_alone() -> None:
+    surface = sphere()
+    assert in_quadratics(surface).degree == (2, 2)
+    rng = np.random.default_rng(11)
+    knots = np.repeat([0.0, 1.0], 4), np.repeat([0.0, 1.0], 2)
+    other = Patch(knots, rng.random((4, 2, 3)), 1.0 + rng.random((4, 2)))
+    assert in_quadratics(other).degree == (3, 1)
+    assert arcs_as_cubics(other, 1e-3) is None
 
 
 def test_other_surfaces_are_left_alone() -> None:
