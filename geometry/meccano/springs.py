@@ -5,7 +5,8 @@ the surface pulls the boundary where that is closest to it, which draws limbs ou
 
 Closest points lie on the wrong sheet where the solid is still far off: a membrane between two ears is held by their
 flanks, and never gives way. So a sheet is believed only if it faces the same way, within `FACING`, or if it is nearer
-than the tolerance. Samples of the boundary then take the closest point among triangles that do.
+than the tolerance. Samples of the boundary then take the closest point among triangles that do, unless that is `BEYOND`
+times as far: in a fold of the boundary some faces inwards, and would be drawn through the solid to its other side.
 
 Samples without a sheet that they can believe follow the map of the boundary, which has the right topology: samples of
 the boundary are drawn to where the map puts them, samples of the surface draw the point that the map puts there. These
@@ -41,6 +42,9 @@ SAMPLES = facet_rule(5)
 
 FACING = 0.5
 """Least cosine of the angle between normals of sheets that belong together."""
+
+BEYOND = 4.0
+"""Farthest sheet that is believed because it faces the right way, in distances of the closest one."""
 
 ALONG = 0.01
 """What distances along the surface count."""
@@ -142,14 +146,16 @@ def _touched(skin: Skin, free: Mask) -> Mask:
 
 
 def _believed(surface: Surface, points: Array, ways: Array, near: float) -> tuple[Array, Index, Mask]:
-    """Closest points (k, 3) of the surface that are nearer than ``near`` or face as the solid does, and triangles.
+    """Closest points (k, 3) of the surface, where these are farther than ``near`` those that face as the solid does.
 
-    And which points have none.
+    And their triangles, and which points have none.
     """
     found, gap, triangle = closest(surface.points, surface.triangles, points)
     lost = np.zeros(len(points), dtype=bool)
     odd = np.flatnonzero((gap > near) & ((unit_normals(surface)[triangle] * ways).sum(axis=1) < FACING))
     if len(odd):
-        found[odd], _, triangle[odd] = closest_facing(surface.points, surface.triangles, points[odd], ways[odd], FACING)
-        lost[odd] = triangle[odd] < 0
+        facing, far, there = closest_facing(surface.points, surface.triangles, points[odd], ways[odd], FACING)
+        lost[odd] = there < 0
+        other = (there < 0) | (far <= BEYOND * gap[odd])
+        found[odd[other]], triangle[odd[other]] = facing[other], there[other]
     return found, triangle, lost

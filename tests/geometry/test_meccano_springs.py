@@ -83,6 +83,22 @@ def test_a_membrane_across_a_notch_is_drawn_to_its_bottom():
     assert (tether.places[centre, 2] < start[:, 2] - 0.1).all()
 
 
+def test_a_fold_is_not_drawn_through_the_solid():
+    """The lower side of a flat box under the top of a ball faces the ball's bottom, which is far beyond."""
+    surface = ball(16)
+    skin, points = _cube()
+    points = points * 0.05 + np.array([0.0, 0.0, 0.85])
+    aim = values_at(skin, SAMPLES) @ points
+    below = np.flatnonzero(outward(skin, points, SAMPLES)[:, 2] < -0.9)
+    tether = springs_to(surface, skin, 1e-3, 1.0, aim)(points)
+    start = (tether.A @ points)[below]
+    assert len(below)
+    assert (tether.places[below, 2] > start[:, 2]).all()
+    # In the middle of the ball its bottom is as near as its top, and is believed.
+    tether = springs_to(surface, skin, 1e-3, 1.0, aim)(points - [0.0, 0.0, 0.85])
+    assert (tether.places[below, 2] < -0.4).all()
+
+
 def test_where_no_sheet_faces_that_way_the_map_is_followed_with_bounded_force():
     """A box far above half a ball: no triangle faces as its lower side does."""
     whole = ball(8)
