@@ -117,7 +117,8 @@ def face_lines(
     loose: tuple[list[float], list[float]] = ([], [])
     for d in range(2):
         reach = 10 * ALONG * np.ptp(surface.knots[d])
-        firm[d].extend(k for k in np.unique(surface.knots[d]).tolist() if box[0, d] + reach < k < box[1, d] - reach)
+        inner = np.unique(surface.knots[d])[1:-1].tolist()  # a face may pass its surface's border by a tolerance
+        firm[d].extend(k for k in inner if box[0, d] + reach < k < box[1, d] - reach)
         loose[d].extend(box[:, d].tolist())
     for loop in face.loops:
         for c in loop:

@@ -6,7 +6,8 @@ the feet of a point x, the point is moved by the shortest step that puts it on a
 
     x <- x + N^T (N N^T + DAMP^2 I)^-1 d,      N = rows n_f,
 
-a few times: to the intersection of the faces where they cross, half way between them where they touch.
+a few times: to the intersection of the faces where they cross, half way between them where they touch. Edges that end
+beside their vertices, as files allow and blends do, are first moved by a linear function of t so that they end there.
 
 Axis letters: q point, f face, c component.
 """
@@ -33,6 +34,7 @@ NEAR = 1e-7
 FIT, ENOUGH = 1e-8, 1e-6
 """Distances, relative to the diagonal, of the new curve from its points, the second for short pieces."""
 SAMPLES = 33
+ENDS = np.array([0.0, 1.0])
 
 
 def edge_distances(brep: Brep, samples: int = SAMPLES) -> Array:
@@ -47,18 +49,14 @@ def edge_distances(brep: Brep, samples: int = SAMPLES) -> Array:
 
 
 def met(brep: Brep, off: Array) -> Brep:
-    """The solid with the edges that lie off their faces, and the vertices at their ends, moved to both faces.
+    """The solid with the edges that lie off their faces, and the vertices at their ends, moved to both faces, and edges
+    ended at their vertices.
 
     Parameters
     ----------
     off : (e,) as `edge_distances` gives it.
     """
     wrong = np.flatnonzero(off > NEAR * brep.diagonal).tolist()
-    if not wrong:
-        return brep
-    edges = list(brep.edges)
-    for e in wrong:
-        edges[e] = _moved(brep, e)
     vertices = brep.vertices.copy()
     uses: dict[int, list[tuple[int, int, int]]] = {}
     places: dict[int, list[float]] = {}
@@ -73,14 +71,20 @@ def met(brep: Brep, off: Array) -> Brep:
         for _ in range(ROUNDS):
             x = x + _step(*_vertex_feet(brep, uses[v], x, ends))
         vertices[v] = x[0]
+    edges = list(brep.edges)
+    for e, edge in enumerate(edges):
+        away = vertices[list(edge.vertices)] - curve_points(edge.curve, ENDS)
+        if e in wrong or (not edge.degenerate and np.linalg.norm(away, axis=1).max() > NEAR * brep.diagonal):
+            edges[e] = _moved(brep, e, away)
     return replace(brep, edges=tuple(edges), vertices=vertices)
 
 
-def _moved(brep: Brep, number: int) -> Edge:
+def _moved(brep: Brep, number: int, away: Array) -> Edge:
+    """An edge on its faces, its ends moved by ``away`` (2, 3)."""
     edge, uses = brep.edges[number], brep.coedges_of[number]
 
     def points(t: Array) -> Array:
-        x = curve_points(edge.curve, t)
+        x = curve_points(edge.curve, t) + (1.0 - t)[:, None] * away[0] + t[:, None] * away[1]
         for _ in range(ROUNDS):
             x = x + _step(*_feet(brep, uses, x, t)[1:])
         return x

@@ -7,6 +7,9 @@ curves are fitted anew to the feet of C(t).
 A curve that follows a parameter line but for a distance that does not count is put on the line, so that cells of the
 face lie along it (`grid`): blends end in such curves, a few 1e-4 of the parameter range away from the surface's border.
 
+So are curves whose ends are not the places of their edges' ends: files leave curves that follow each other some 1e-5 of
+the parameter range apart, less than their tolerance in space, but a polygon through such ends crosses itself.
+
 Axis letters: q point, d parameter direction, c component.
 """
 
@@ -26,6 +29,8 @@ Array = NDArray[np.float64]
 
 APART = 1e-5
 """Distance along the curve, relative to the diagonal, between points of equal parameters that is left as it is."""
+NEAR = 1e-7
+"""The same at the ends, where other curves begin."""
 FIT, ENOUGH = 1e-8, 1e-6
 """Distances, relative to the diagonal, of a new curve from its points, the second for short pieces."""
 SHARE = 0.1
@@ -46,16 +51,17 @@ def fitted_curves(brep: Brep, tolerance: float) -> Brep:
     for face in brep.faces:
         loops = []
         for loop in face.loops:
+            reach = SHARE * tolerance * brep.diagonal
             loops.append(tuple(
-                c if brep.edges[c.edge].degenerate else
-                _on_line(face, _with_edge(brep, face, c), SHARE * tolerance * brep.diagonal) for c in loop
+                c if brep.edges[c.edge].degenerate else _on_line(face, _with_edge(brep, face, c, reach), reach)
+                for c in loop
             ))
         faces.append(replace(face, loops=tuple(loops)))
     return replace(brep, faces=tuple(faces))
 
 
-def _with_edge(brep: Brep, face: Face, c: Coedge) -> Coedge:
-    """The coedge over the parameter of its edge."""
+def _with_edge(brep: Brep, face: Face, c: Coedge, reach: float) -> Coedge:
+    """The coedge over the parameter of its edge, on a parameter line if the edge leaves one by no more than a reach."""
     curve = brep.edges[c.edge].curve
     breaks = np.unique(np.concatenate([curve.knots, c.curve.knots]))
     # Where they turn sharply curves have many knots, close together.
@@ -67,16 +73,20 @@ def _with_edge(brep: Brep, face: Face, c: Coedge) -> Coedge:
     n /= np.linalg.norm(n, axis=1)[:, None] + 1e-300
     off = x - s
     along = off - np.einsum("qc,qc->q", off, n)[:, None] * n
-    if np.linalg.norm(along, axis=1).max() <= APART * brep.diagonal:
+    gap = np.linalg.norm(along, axis=1) / brep.diagonal
+    if gap.max() <= APART and gap[[0, -1]].max() <= NEAR:
         return c
+    feet = project(face, uv, x, 8)[0]
     scale = np.array([np.linalg.norm(a, axis=1).mean() for a in (du, dv)]) + 1e-300
     d = followed(c, face.surface)
+    if d >= 0 and np.ptp(feet[:, d]) * scale[d] > reach:
+        d = -1
 
     def places(at: Array) -> Array:
         start = curve_points(c.curve, at)
         found = project(face, start, curve_points(curve, at), 8)[0]
         if d >= 0:
-            found[:, d] = start[:, d]
+            found[:, d] = feet[[0, -1], d].mean()
         return found * scale
 
     try:

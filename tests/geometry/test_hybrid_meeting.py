@@ -117,7 +117,7 @@ def test_skins_of_files_reach_the_tolerance(name: str, solid: int | None) -> Non
 @pytest.mark.long
 @pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
 @pytest.mark.parametrize("kind", ["hybrid", "hb-rep"])
-@pytest.mark.parametrize("name", ["angled.step", "featuretype.step"])
+@pytest.mark.parametrize("name", ["angled.step", "featuretype.step", "pump_carter.stp"])
 def test_quadrilaterals_need_no_plain_triangles_instead(name: str, kind: str) -> None:
     """Parts that once fell back to triangles everywhere, because faces of their quadrilaterals crossed."""
     report = build_skin(read_cad(DATA / name, None), quads=kind == "hybrid", splines=kind == "hb-rep").report
