@@ -46,6 +46,8 @@ _LEAST_SHARE = 0.2
 """Share of a step below which it is not halved again but given up."""
 _STAYING = 0.6
 """Share of the elements not certified; a round of `unfold` that leaves more calls for softer springs."""
+_FEW = 0.01
+"""Share of all elements; fewer that `unfold` leaves are untangled alone: moving all again would fold others."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +142,8 @@ def unfold(
     free: Mask,
     tether: Tether,
     rounds: int = 12,
-    iterations: int = 60,
-    samples: int = 5,
+    iterations: int = 30,
+    samples: int = 4,
     power: float = 2.0,
     size: float = 0.2,
     yielding: float = 0.5,
@@ -169,7 +171,8 @@ def unfold(
     history = [Round(len(invalid), 0, task.elements, np.nan)]
     seen = np.flatnonzero(elements_of(task, task.open))
     while len(invalid) and len(history) <= rounds:
-        task = with_samples(with_shapes(task, own_shapes(replace(domain, points=points))), worst)
+        task = shaping(replace(domain, points=points), free, None, samples, power, size, tether)
+        task = with_samples(task, worst)
         step, least = minimise(task, points, task.open, seen, iterations, 3)
         points = points + task.moves @ step
         before, (invalid, worst) = len(invalid), invalid_elements(task, points, np.arange(task.elements), depth)
@@ -177,10 +180,17 @@ def unfold(
             around = abs(task.moves) @ touching(task, mask_of(task, invalid)).astype(float)
             soft = abs(tether.A) @ around > 0.0
             tether = replace(tether, weights=np.where(soft, yielding, 1.0) * tether.weights)
-            task = replace(task, tether=tether)
         history.append(Round(len(invalid), int(task.open.sum()), len(seen), least))
         shown.say(f"unfolding: {len(invalid)} elements not certified")
-    return _result(task, points, invalid, history)
+        if 0 < len(invalid) <= _FEW * task.elements:
+            alone = untangle(
+                replace(domain, points=points), free, rounds=8, iterations=iterations, samples=samples, power=power,
+                size=size, patience=3, depth=depth, tether=tether, shown=shown,
+            )
+            if not len(alone.invalid):
+                points, invalid = alone.points, invalid[:0]
+                history += alone.history[1:]
+    return _result(replace(task, domain=domain), points, invalid, history)
 
 
 def smooth(

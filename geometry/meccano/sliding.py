@@ -54,14 +54,13 @@ _TURNS = 14
 _STEPS = 15
 
 
-def slid(skin: Skin, points: Array, surface: Surface, aim: Array, tolerance: float) -> Array:
-    """Control points (n, 3) of which those of boundary functions make a sheet near the surface, as straight as may be.
+def fitted(skin: Skin, points: Array, aim: Array) -> Array:
+    """Control points (n, 3) of which those of boundary functions make a sheet that is the fit of the map.
 
     Parameters
     ----------
-    points : (n, 3), from which the fit of the map starts.
+    points : (n, 3), from which the fit starts.
     aim : (f q, 3) where the map puts `springs.SAMPLES` of all facets.
-    tolerance : distance from the surface that counts as near.
 
     Raises
     ------
@@ -70,6 +69,19 @@ def slid(skin: Skin, points: Array, surface: Surface, aim: Array, tolerance: flo
     made = points
     for fairness in _FAIRNESS:
         made = fit_boundary(skin, made, SAMPLES, aim, fairness=fairness)
+    return made
+
+
+def slid(skin: Skin, points: Array, surface: Surface, aim: Array, tolerance: float) -> Array:
+    """Control points (n, 3) of which those of boundary functions make a sheet near the surface, as straight as may be.
+
+    Parameters
+    ----------
+    points : (n, 3), a sheet; its facets' own lengths are kept.
+    aim : (f q, 3) where the map puts `springs.SAMPLES` of all facets.
+    tolerance : distance from the surface that counts as near.
+    """
+    made = points
     held = springs_to(surface, skin, tolerance, 1.0, aim)
     U, V = (csr_array(values_at(skin, NODES, order)[:, skin.functions]) for order in ((1, 0), (0, 1)))
     a, b = (_lengths(T @ made[skin.functions]) for T in (U, V))

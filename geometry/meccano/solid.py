@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from geometry.meccano.hierarchical import Hierarchy
-from geometry.meccano.skin import Skin
+from geometry.meccano.collocation import prolongation
+from geometry.meccano.hierarchical import Hierarchy, hierarchy
+from geometry.meccano.skin import Skin, skin_of
+from geometry.meccano.tmesh import DEPTH, refined
 from iga.distortion import own_shapes
 from iga.domain import Domain, Space
 from iga.scaled_jacobian import least_of_elements
@@ -84,6 +86,19 @@ def sizes_of(solid: Solid) -> Array:
     least = np.full(solid.space.n, np.inf)
     np.minimum.at(least, X.indices, np.repeat(size, np.diff(X.indptr)))
     return least
+
+
+def split(solid: Solid, marks: Index, most: int) -> Solid | None:
+    """The same solid with marked leaf cells (k,) split, as many as ``most`` cells allow; None if that allows none."""
+    marks = marks[solid.space.tmesh.level[marks] < DEPTH]
+    while len(marks):
+        # A cell split without its neighbours adds no function.
+        tmesh = refined(solid.space.tmesh, marks, reach=1)
+        if tmesh.cells <= most:
+            space = hierarchy(tmesh, solid.space.degree)
+            return Solid(space, skin_of(space), prolongation(solid.space, space) @ solid.points, solid.invalid[:0])
+        marks = marks[: (2 * len(marks)) // 3]
+    return None
 
 
 def held(skin: Skin, places: Array, weights: Array) -> Tether:

@@ -50,11 +50,12 @@ from geometry.layouts.voxels import cuboids
 from geometry.meccano.adaptation import Measure
 from geometry.meccano.domain import build_domain, refine_domain
 from geometry.meccano.errors import tessellation
-from geometry.meccano.growth import Aims, solid_of
+from geometry.meccano.growth import solid_of
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.paper import Kind, Remedy, boundary_triangles, paper_solid
 from geometry.meccano.settings import NAME, Settings, parse
 from geometry.meccano.shapes import SHAPES
+from geometry.meccano.state import Aims
 from geometry.meccano.tmesh import uniform
 from geometry.simplices import reading
 from geometry.simplices.distance import distances

@@ -10,12 +10,13 @@ from geometry.layouts.boundary_map import boundary_map, carried, on_surface
 from geometry.layouts.partition import partition
 from geometry.meccano.errors import Errors, errors_of
 from geometry.meccano.fitting import greville_points, laid
-from geometry.meccano.growth import Aims, _marked, nested, solid_of
+from geometry.meccano.growth import _marked, nested, solid_of
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.shapes import ball
 from geometry.meccano.skin import outward, skin_of, values_at
 from geometry.meccano.solid import Solid
 from geometry.meccano.springs import SAMPLES
+from geometry.meccano.state import Aims
 from geometry.meccano.tmesh import uniform
 from iga.certificate import certify
 from iga.scaled_jacobian import least_of_elements

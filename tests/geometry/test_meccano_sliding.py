@@ -5,17 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from geometry.layouts.blocks import cube, pillowed, place
-from geometry.meccano.errors import tessellation
+from geometry.meccano.errors import surface_samples, tessellation
 from geometry.meccano.fitting import fit_boundary, greville_points
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.shapes import ball
 from geometry.meccano.skin import side_coordinates, skin_of, values_at
 from geometry.meccano.sliding import on_sheet, shape_energy, sines, slid
 from geometry.meccano.springs import SAMPLES
+from geometry.meccano.starting import sheets, started
+from geometry.meccano.state import Aims, Task
 from geometry.meccano.tmesh import uniform
 from geometry.meccano.unfolding import unfolded
 from geometry.simplices.distance import distances
 from iga.certificate import certify
+from iga.progress import QUIET
 from iga.scaled_jacobian import least_of_elements
 
 TWIST = 2.5
@@ -64,6 +67,34 @@ def test_the_inside_of_a_sheet_is_unfolded():
     assert least_of_elements(solid.domain).min() > 0.1
 
 
+def test_sheets_are_split_where_they_are_off_until_one_is_near():
+    surface, skin, points = _ball()
+    task = _task(surface, points, 2e-3, 600)
+    found = sheets(task, skin, points)
+    cells = [sheet.space.tmesh.cells for sheet in found]
+    assert cells == sorted(set(cells))
+    assert cells[-1] > skin.space.tmesh.cells
+    near = [distances(surface, *tessellation(sheet.skin, sheet.points))["relative"] for sheet in found]
+    assert near[-1] < 2.5e-3
+    assert near[0] > 2.0 * near[-1]
+
+
+def test_sheets_have_no_more_cells_than_are_allowed():
+    surface, skin, points = _ball()
+    most = 300
+    cells = [sheet.space.tmesh.cells for sheet in sheets(_task(surface, points, 2e-3, most), skin, points)]
+    assert skin.space.tmesh.cells < max(cells) <= most
+
+
+def test_a_fine_sheet_is_where_a_solid_starts():
+    surface, skin, points = _ball()
+    task, state, stage = started(_task(surface, points, 2e-3, 600), skin.space)
+    assert stage == "unfolding"
+    assert state.solid.space.tmesh.cells > skin.space.tmesh.cells
+    assert state.errors.worst.max() < 2.5e-3 * surface.diagonal
+    assert (certify(state.solid.domain).verdict == 1).all()
+
+
 def test_points_on_a_sheet_go_to_the_surface_closest_to_them():
     surface, skin, points = _ball()
     side, s = side_coordinates(skin, SAMPLES)
@@ -79,6 +110,12 @@ def _ball():
     points = place(space.tmesh.blocks, *greville_points(space))
     low, high = points.min(axis=0), points.max(axis=0)
     return ball(12), skin_of(space), 0.5 * (2.0 * (points - low) / (high - low) - 1.0)
+
+
+def _task(surface, points, tolerance, cells):
+    """A ball to be made within a relative tolerance."""
+    aims = Aims(tolerance * surface.diagonal, cells)
+    return Task(surface, _twisted(points), aims, surface_samples(surface, 0.02)[0], QUIET)
 
 
 def _twisted(points):
