@@ -88,7 +88,7 @@ def test_sheets_have_no_more_cells_than_are_allowed():
 
 def test_a_fine_sheet_is_where_a_solid_starts():
     surface, skin, points = _ball()
-    task, state, stage = started(_task(surface, points, 2e-3, 600), skin.space)
+    _, state, stage = started(_task(surface, points, 2e-3, 600), skin.space)
     assert stage == "unfolding"
     assert state.solid.space.tmesh.cells > skin.space.tmesh.cells
     assert state.errors.worst.max() < 2.5e-3 * surface.diagonal
