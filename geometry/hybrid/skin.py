@@ -136,7 +136,7 @@ def build_skin(
     # Fitted triangles come nearer than their edges' gap; revised B-splines go on with it.
     left = edge_distances(brep) if splines else np.zeros(len(brep.edges))
     sizes = size_edges(brep, size)  # of the CAD surfaces: splines in their place curl a little
-    solid = splined(brep, tolerance) if splines else None
+    solid = splined(brep, tolerance, left) if splines else None
     brep = brep if solid is None else solid.brep
     task, plan = _begun(brep, solid, sizes, left, size * brep.diagonal, tolerance, quads or splines)
     best: tuple[float, Skin, Sealed | None] | None = None

@@ -29,8 +29,8 @@ from iga.errors import InputError
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SHARE = 0.5
-"""Share of the tolerance that replacing a rational surface by a polynomial spline may use."""
+SHARE, LEAST = 0.5, 0.05
+"""Share of what a face's gaps leave of the tolerance that replacing its surface may use; least share of the whole."""
 
 FIT, ENOUGH = 1e-10, 1e-8
 """Distance of carried curves from their places, relative to the parameters, the second for short pieces."""
@@ -56,18 +56,20 @@ class Splined:
     without: dict[int, str]
 
 
-def splined(brep: Brep, tolerance: float) -> Splined:
+def splined(brep: Brep, tolerance: float, gaps: Array | None = None) -> Splined:
     """Replace surfaces by bicubic polynomial splines.
 
     Parameters
     ----------
     tolerance : of the skin, relative to the diagonal of the solid.
+    gaps : (e,) distances of edges from their faces, in space: elements beside them are that far off already.
     """
     faces, apart, proved, without = [], np.zeros(len(brep.faces)), np.ones(len(brep.faces), dtype=bool), {}
     for f, face in enumerate(brep.faces):
         extent = float(np.linalg.norm(np.ptp(face.surface.control.reshape(-1, 3), axis=0)))
         exact = face.surface.weights is None and max(face.surface.degree) <= 3
-        reach = SHARE * tolerance * brep.diagonal
+        gap = 0.0 if gaps is None else max(gaps[c.edge] for loop in face.loops for c in loop)
+        reach = max(SHARE * (tolerance * brep.diagonal - gap), LEAST * tolerance * brep.diagonal)
         arcs = None if exact else arcs_as_cubics(face.surface, reach)
         if arcs is not None:
             made, there, back = arcs

@@ -91,7 +91,7 @@ def certified(phi: Array) -> NDArray[np.bool_]:
     """
     legs = phi[:, _corner(1)] - phi[:, _corner(0)], phi[:, _corner(2)] - phi[:, _corner(0)]
     area = legs[0][:, 0] * legs[1][:, 1] - legs[0][:, 1] * legs[1][:, 0]
-    det = jacobian_coefficients(phi) / area[:, None]
+    det = jacobian_coefficients(phi) / np.where(area == 0.0, np.inf, area)[:, None]
     return np.asarray((det.min(axis=1) > -1e-9) & (det.max(axis=1) > 0.0))
 
 

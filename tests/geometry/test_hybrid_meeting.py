@@ -128,13 +128,13 @@ def test_quadrilaterals_need_no_plain_triangles_instead(name: str, kind: str) ->
 
 @pytest.mark.long
 @pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
-@pytest.mark.parametrize(("name", "solid", "reach"), [("wrenchnut.stp", 0, 2e-5), ("mainbody_back.stp", None, 2.5e-5)])
-def test_gaps_of_a_file_leave_no_folds(name: str, solid: int | None, reach: float) -> None:
-    """Faces of the second touch each other up to 2.5e-5 of the diagonal apart, and no element can do away with that."""
+@pytest.mark.parametrize(("name", "solid"), [("wrenchnut.stp", 0), ("mainbody_back.stp", None)])
+def test_gaps_of_a_file_leave_no_folds(name: str, solid: int | None) -> None:
+    """Faces of the second touch each other up to 2.5e-5 of the diagonal apart, and half of that stays on each."""
     report = build_skin(read_cad(DATA / name, solid), splines=True).report
     assert report["crossings"] == report["folded"] == 0
     assert not report["cad_faces_without_band"]
-    assert report["max_distance"] <= reach
+    assert report["max_distance"] <= 2e-5
     assert report["elements"] < 14_000
 
 

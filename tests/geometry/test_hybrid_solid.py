@@ -246,3 +246,14 @@ def test_weights_of_a_cylinder_are_replaced_within_a_proved_bound() -> None:
         assert np.abs(project(old, uv, x)[1]).max() <= solid.apart[f] < 1e-3 * brep.diagonal
         met += 1
     assert met > 5
+
+
+@pytest.mark.parametrize("share", [0.0, 0.9, 2.0])
+def test_gaps_leave_less_of_the_tolerance_to_replaced_surfaces(share: float) -> None:
+    """Half of what the gaps leave of the tolerance, and a twentieth of it at least."""
+    brep = shapes.bracket()
+    tolerance = 1e-4
+    gaps = np.full(len(brep.edges), share * tolerance * brep.diagonal)
+    apart = splined(brep, tolerance, gaps).apart / (tolerance * brep.diagonal)
+    allowed = max(0.5 * (1.0 - share), 0.05)
+    assert 0.0 < apart.max() <= 1.01 * allowed
