@@ -3,7 +3,7 @@
 The boundary comes first. The fit of the map on the coarse mesh is slid along the surface (`sliding`), and again on
 finer meshes, split where it is off, until it is near all over. The solid inside is unfolded (`unfolding`), and then
 slides along the surface as a whole, by stiffer and stiffer springs and without a fold on the way: shapes come first,
-what they cost in nearness comes back. Where a fine sheet's inside stays folded, coarser ones are tried.
+what they cost in nearness comes back. Where the finest sheet's inside stays folded, the coarsest is tried.
 
 Where every sheet is far off, or what is inside stays folded, the solid starts valid instead: as a smooth blob whose
 boundary is fitted with much fairness and whose inside is harmonic in the straight picture of the meccano, or, where
@@ -35,8 +35,8 @@ from iga.progress import Progress
 
 Array = NDArray[np.float64]
 
-# Most meshes on which a sheet slides, and farthest that it may be off, in diagonals, to be filled: one that lacks whole
-# limbs is not.
+# Most meshes on which a sheet slides, and farthest that it, or the solid inside it, may be off, in diagonals: one that
+# lacks whole limbs is of no use.
 _SHEETS = 6
 _NEAR = 0.03
 # Slides of the whole solid: softness of the springs, rounds and steps of descent, sample points along the edge of an
@@ -70,11 +70,15 @@ def started(task: Task, start: Hierarchy) -> tuple[Task, State, str]:
     aim = task.target(*side_coordinates(skin, SAMPLES))
     picture = place(start.tmesh.blocks, *greville_points(start))
     around = laid(picture, values_at(skin, SAMPLES), aim)
-    for sheet in sheets(task, skin, fitted(skin, around, aim))[::-1]:
+    near = sheets(task, skin, fitted(skin, around, aim))
+    # The last is nearest, the first is unfolded with the least trouble.
+    for sheet in (near[-1:] + near[:1])[: len(near)]:
         solid = unfolded(sheet.skin, sheet.points, task.shown)
-        if not len(solid.invalid):
-            own = replace(task, target=on_sheet(sheet.skin, sheet.points, task.surface))
-            return own, _stiffened(own, measured(own, solid)), "unfolding"
+        own = replace(task, target=on_sheet(sheet.skin, sheet.points, task.surface))
+        state = measured(own, solid)
+        # Springs that yield may let go of a limb.
+        if not len(solid.invalid) and state.errors.worst.max() <= _NEAR * task.surface.diagonal:
+            return own, _stiffened(own, state), "unfolding"
     return task, _drawn_near(task, _first(skin, picture, around, aim, task.shown), aim), "drawing"
 
 
