@@ -73,7 +73,7 @@ def met(brep: Brep, off: Array) -> Brep:
         vertices[v] = x[0]
     edges = list(brep.edges)
     for e, edge in enumerate(edges):
-        away = vertices[list(edge.vertices)] - curve_points(edge.curve, ENDS)
+        away = brep.vertices[list(edge.vertices)] - curve_points(edge.curve, ENDS)
         if e in wrong or (not edge.degenerate and np.linalg.norm(away, axis=1).max() > NEAR * brep.diagonal):
             edges[e] = _moved(brep, e, away)
     return replace(brep, edges=tuple(edges), vertices=vertices)
