@@ -82,7 +82,8 @@ def solid_of(
         shown.say(", ".join(f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
                             for key, value in history[-1].items()))
 
-    task, state, stage = started(task, start)
+    # Solids in the finest sheets have elements too poor to be drawn much nearer afterwards.
+    task, state, stage = started(task, start, _SHEETS if len(tolerances) == 1 else 1)
     note(stage, state)
     for tolerance in tolerances:
         task = replace(task, aims=replace(aims, tolerance=tolerance))
@@ -128,7 +129,11 @@ def _settled(task: Task, state: State, whole: bool) -> State:
         # Soft springs only where there is some way to go.
         if softness * task.aims.tolerance <= state.errors.worst.max():
             state = _slid(task, state, softness, free, whole)
-    state = _slid_on(task, _slid(task, state, 1.0, free, whole), LIMB)
+    slid = _slid(task, state, 1.0, free, whole)
+    # A fine start may be nearer than slides keep it: then finer cells are of more use.
+    if state.errors.worst.max() > min(_FINE) * task.aims.tolerance or slid.excess(task.aims) < state.excess(task.aims):
+        state = slid
+    state = _slid_on(task, state, LIMB)
     if len(state.solid.invalid):
         everything = np.ones(state.solid.space.n, dtype=bool)
         state = measured(task, untangled(state.solid, everything, _TRIES, _FRUITLESS, task.shown), state.aim)
@@ -188,6 +193,8 @@ def _slid(task: Task, state: State, softness: float, free: Mask | None = None, p
     return measured(task, slid, state.aim)
 
 
+# Most meshes on which the first sheet slides.
+_SHEETS = 6
 # Tolerance, in diagonals, from which finer ones are halved.
 _COARSE = 0.004
 # Rounds of untangling, and without progress, where a fold is left.

@@ -35,9 +35,7 @@ from iga.progress import Progress
 
 Array = NDArray[np.float64]
 
-# Most meshes on which a sheet slides, and farthest that it, or the solid inside it, may be off, in diagonals: one that
-# lacks whole limbs is of no use.
-_SHEETS = 6
+# Farthest that a sheet, or the solid inside it, may be off, in diagonals: one that lacks whole limbs is of no use.
 _NEAR = 0.03
 # Slides of the whole solid: softness of the springs, rounds and steps of descent, sample points along the edge of an
 # element, power of the mean ratio.
@@ -58,8 +56,12 @@ _COMING = 0.93
 _FAIREST = 100.0
 
 
-def started(task: Task, start: Hierarchy) -> tuple[Task, State, str]:
+def started(task: Task, start: Hierarchy, meshes: int = 6) -> tuple[Task, State, str]:
     """The first solid, on the coarse mesh or a finer one.
+
+    Parameters
+    ----------
+    meshes : most meshes on which a sheet slides.
 
     Returns
     -------
@@ -70,7 +72,7 @@ def started(task: Task, start: Hierarchy) -> tuple[Task, State, str]:
     aim = task.target(*side_coordinates(skin, SAMPLES))
     picture = place(start.tmesh.blocks, *greville_points(start))
     around = laid(picture, values_at(skin, SAMPLES), aim)
-    near = sheets(task, skin, fitted(skin, around, aim))
+    near = sheets(task, skin, fitted(skin, around, aim), meshes)
     # The last is nearest, the first is unfolded with the least trouble.
     for sheet in (near[-1:] + near[:1])[: len(near)]:
         solid = unfolded(sheet.skin, sheet.points, task.shown)
@@ -82,12 +84,13 @@ def started(task: Task, start: Hierarchy) -> tuple[Task, State, str]:
     return task, _drawn_near(task, _first(skin, picture, around, aim, task.shown), aim), "drawing"
 
 
-def sheets(task: Task, skin: Skin, points: Array) -> list[Solid]:
+def sheets(task: Task, skin: Skin, points: Array, meshes: int = 6) -> list[Solid]:
     """Sheets slid along the surface, on finer and finer meshes until one is within the tolerance or cells are spent.
 
     Parameters
     ----------
     points : (n, 3) control points of the first sheet.
+    meshes : most meshes.
 
     Returns
     -------
@@ -95,7 +98,7 @@ def sheets(task: Task, skin: Skin, points: Array) -> list[Solid]:
     """
     near: list[Solid] = []
     sheet: Solid | None = Solid(skin.space, skin, points, np.empty(0, dtype=np.int64))
-    for _ in range(_SHEETS):
+    for _ in range(meshes):
         if sheet is None:
             break
         aim = task.target(*side_coordinates(sheet.skin, SAMPLES))
