@@ -105,10 +105,15 @@ def nested(tolerance: float, diagonal: float) -> list[float]:
 
 def _grown(task: Task, state: State, start: Hierarchy, note: Callable[[str, State], None]) -> tuple[State, str]:
     """A solid slid and refined until it is within the tolerance, or what stops it."""
+    last = np.inf
     for step in count():
         if state.excess(task.aims):
             state = _settled(task, state, state.solid.space is start)
             note("sliding", state)
+            if state.excess(task.aims) and state.errors.worst.max() > _STUCK * last:
+                state = _drawn_in(task, state)
+                note("drawing in", state)
+            last = float(state.errors.worst.max())
         marks = _marked(state.solid, state.errors, task.aims)
         if not len(marks):
             break
@@ -186,6 +191,29 @@ def _slid(task: Task, state: State, softness: float, free: Mask | None = None, p
         free = acting(solid, off)
         if patient and far:
             free = acting(solid, moved(solid, free))
+    return _smoothed(task, state, softness, free, turns, steps)
+
+
+def _drawn_in(task: Task, state: State) -> State:
+    """What refinement has not brought nearer, slid together with much that is around it.
+
+    Small elements do not move a sac by themselves: one by one they have their shapes, and the springs' forces reach no
+    farther than those that are free. Splitting them would not help either.
+    """
+    solid = state.solid
+    off = np.zeros(solid.space.tmesh.cells, dtype=bool)
+    off[solid.skin.cell[state.errors.worst > task.aims.tolerance]] = True
+    free = acting(solid, off)
+    for _ in range(_AROUND):
+        free = acting(solid, moved(solid, free))
+    tried = _smoothed(task, state, 1.0, free, *_PERSISTENT)
+    return tried if tried.excess(task.aims) < state.excess(task.aims) else state
+
+
+def _smoothed(task: Task, state: State, softness: float, free: Mask, turns: int, steps: int) -> State:
+    """Smooth while free functions slide along the surface."""
+    solid, tolerance = state.solid, task.aims.tolerance
+    far = bool(state.errors.worst.max() > LIMB * tolerance)
     springs = springs_to(task.surface, solid.skin, tolerance, softness, state.aim, free, softness > _LEADING)
     slid = smoothed(
         solid, free, steps, turns, _SAMPLES[far], _POWER, springs, repairs=1, folds=not far, shown=task.shown
@@ -211,8 +239,12 @@ _PROGRESS = 0.8
 # where something is far off, since what folds between samples is held back; power of the mean ratio.
 _QUICK = (2, 30)
 _PATIENT = (6, 40)
+_PERSISTENT = (6, 60)
 _SAMPLES = (3, 4)
 _POWER = 4.0
+# What refinement leaves as far off as this share of what it was is stuck; it is drawn in with so many layers around.
+_STUCK = 0.95
+_AROUND = 3
 # Refinement: facets off by this share of the worst at least, most cells for each cell.
 _SHARE = 0.2
 _GROWTH = 2.2
