@@ -7,7 +7,8 @@ between samples of the boundary and the points of the surface closest to them, a
 the points of the boundary closest to those, as far as they face the same way (`springs`). They begin soft, so that
 boundaries that the map left far off, or twisted, come along without a fold. Cells whose facets are farther from the
 surface than the tolerance are split with their neighbours, the solid is carried to the finer space as it is, and slides
-again around them. Fine tolerances are reached through coarser ones.
+again around them. What splitting has not brought nearer is a sac that its small elements do not move by themselves: it
+slides together with much that is around it. Fine tolerances are reached through coarser ones.
 
 Webs between limbs stay where elements below them are nearly folded: a descent that may fold elements on its way accepts
 that, and then what is around cannot move without a fold. So while something is far off no element may fold, and slides
