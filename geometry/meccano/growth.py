@@ -183,15 +183,11 @@ def _slid(task: Task, state: State, softness: float, free: Mask | None = None, p
     Where something is far from the surface, elements may not fold on the way, and a patient slide takes more turns and
     moves elements under what is off too, which must make way for it.
     """
-    solid, tolerance = state.solid, task.aims.tolerance
+    tolerance = task.aims.tolerance
     far = bool(state.errors.worst.max() > LIMB * tolerance)
     turns, steps = _PATIENT if patient and far else _QUICK
     if free is None:
-        off = np.zeros(solid.space.tmesh.cells, dtype=bool)
-        off[solid.skin.cell[state.errors.worst > tolerance]] = True
-        free = acting(solid, off)
-        if patient and far:
-            free = acting(solid, moved(solid, free))
+        free = _off(state, tolerance, 1 if patient and far else 0)
     return _smoothed(task, state, softness, free, turns, steps)
 
 
@@ -201,14 +197,19 @@ def _drawn_in(task: Task, state: State) -> State:
     Small elements do not move a sac by themselves: one by one they have their shapes, and the springs' forces reach no
     farther than those that are free. Splitting them would not help either.
     """
+    tried = _smoothed(task, state, 1.0, _off(state, task.aims.tolerance, _AROUND), *_PERSISTENT)
+    return tried if tried.excess(task.aims) < state.excess(task.aims) else state
+
+
+def _off(state: State, tolerance: float, layers: int) -> Mask:
+    """Functions (n,) that act on cells under what is off, and on so many layers of cells moved with these."""
     solid = state.solid
     off = np.zeros(solid.space.tmesh.cells, dtype=bool)
-    off[solid.skin.cell[state.errors.worst > task.aims.tolerance]] = True
+    off[solid.skin.cell[state.errors.worst > tolerance]] = True
     free = acting(solid, off)
-    for _ in range(_AROUND):
+    for _ in range(layers):
         free = acting(solid, moved(solid, free))
-    tried = _smoothed(task, state, 1.0, free, *_PERSISTENT)
-    return tried if tried.excess(task.aims) < state.excess(task.aims) else state
+    return free
 
 
 def _smoothed(task: Task, state: State, softness: float, free: Mask, turns: int, steps: int) -> State:

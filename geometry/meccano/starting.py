@@ -56,7 +56,7 @@ _COMING = 0.93
 _FAIREST = 100.0
 
 
-def started(task: Task, start: Hierarchy, meshes: int = 6) -> tuple[Task, State, str]:
+def started(task: Task, start: Hierarchy, meshes: int) -> tuple[Task, State, str]:
     """The first solid, on the coarse mesh or a finer one.
 
     Parameters
@@ -84,7 +84,7 @@ def started(task: Task, start: Hierarchy, meshes: int = 6) -> tuple[Task, State,
     return task, _drawn_near(task, _first(skin, picture, around, aim, task.shown), aim), "drawing"
 
 
-def sheets(task: Task, skin: Skin, points: Array, meshes: int = 6) -> list[Solid]:
+def sheets(task: Task, skin: Skin, points: Array, meshes: int) -> list[Solid]:
     """Sheets slid along the surface, on finer and finer meshes until one is within the tolerance or cells are spent.
 
     Parameters

@@ -70,7 +70,7 @@ def test_the_inside_of_a_sheet_is_unfolded():
 def test_sheets_are_split_where_they_are_off_until_one_is_near():
     surface, skin, points = _ball()
     task = _task(surface, points, 2e-3, 600)
-    found = sheets(task, skin, points)
+    found = sheets(task, skin, points, 6)
     cells = [sheet.space.tmesh.cells for sheet in found]
     assert cells == sorted(set(cells))
     assert cells[-1] > skin.space.tmesh.cells
@@ -82,13 +82,13 @@ def test_sheets_are_split_where_they_are_off_until_one_is_near():
 def test_sheets_have_no_more_cells_than_are_allowed():
     surface, skin, points = _ball()
     most = 300
-    cells = [sheet.space.tmesh.cells for sheet in sheets(_task(surface, points, 2e-3, most), skin, points)]
+    cells = [sheet.space.tmesh.cells for sheet in sheets(_task(surface, points, 2e-3, most), skin, points, 6)]
     assert skin.space.tmesh.cells < max(cells) <= most
 
 
 def test_a_fine_sheet_is_where_a_solid_starts():
     surface, skin, points = _ball()
-    _, state, stage = started(_task(surface, points, 2e-3, 600), skin.space)
+    _, state, stage = started(_task(surface, points, 2e-3, 600), skin.space, 6)
     assert stage == "unfolding"
     assert state.solid.space.tmesh.cells > skin.space.tmesh.cells
     assert state.errors.worst.max() < 2.5e-3 * surface.diagonal
