@@ -1,6 +1,6 @@
 """Open CASCADE: reading of STEP and IGES files, parts of shapes, their measures, names and colours.
 
-With `cad` and `shapes` this module alone touches Open CASCADE, and imports it when first used.
+With `reading` and `hybrid.shapes` this module alone touches Open CASCADE, and imports it when first used.
 """
 
 from __future__ import annotations

@@ -162,7 +162,7 @@ def _arrays(
         face = TopoDS.Face(found)
         key = key_of(face)
         place = names.get(key, f"face_{i}")
-        faces.append(_face(face, edge_map, edges, place, colours.get(key, ""), diagonal, f"{where}: {place}"))
+        faces.append(_face(face, edge_map, place, colours.get(key, ""), diagonal, f"{where}: {place}"))
     return Brep(vertices, tuple(edges), tuple(faces), name, volume, area)
 
 
@@ -194,9 +194,7 @@ def _breaks(curve: Any, first: float, last: float) -> Array:
     return np.concatenate([[0.0], t[(t > 1e-9) & (t < 1.0 - 1e-9)], [1.0]])
 
 
-def _face(
-    face: Any, edge_map: Any, edges: list[Edge], name: str, colour: str, diagonal: float, where: str
-) -> Face:
+def _face(face: Any, edge_map: Any, name: str, colour: str, diagonal: float, where: str) -> Face:
     from OCP.BRep import BRep_Tool
     from OCP.BRepAdaptor import BRepAdaptor_Surface
     from OCP.BRepTools import BRepTools, BRepTools_WireExplorer

@@ -29,7 +29,7 @@ class BandError:
     Attributes
     ----------
     largest, curve : on the triangles, and on the trimming curve alone.
-    area : of the band in space (triangles and rectangles), and of the triangles alone.
+    area : of the band in space, triangles and rectangles.
     share : of the face's area outside the band, where the surface is kept exactly.
     uv : where the largest distance is.
     """
@@ -37,7 +37,6 @@ class BandError:
     largest: float
     curve: float
     area: float
-    triangle_area: float
     share: float
     uv: tuple[float, float]
 
@@ -65,7 +64,7 @@ def band_error(face: HybridFace, surface: Patch | None = None, samples: int = 16
     rectangle = _rectangle_area(surface, face.band.low, face.band.high) if n else 0.0
     rest = _rectangle_area(surface, face.parts.low, face.parts.high)
     band = triangle_area + rectangle
-    return BandError(largest, curve, band, triangle_area, rest / (band + rest), place)
+    return BandError(largest, curve, band, rest / (band + rest), place)
 
 
 _GAUSS = 0.5 * (1.0 + np.array([-0.8611363115940526, -0.3399810435848563, 0.3399810435848563, 0.8611363115940526]))

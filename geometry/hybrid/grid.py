@@ -64,7 +64,6 @@ class Grid:
     lines : u (m + 1,) and v (n + 1,).
     kept : (m, n) cells that become quadrilaterals.
     inside : (m, n) cells whose centre lies inside the loops.
-    crossed : (m, n) cells that a trimming curve crosses or is too near to.
     polar : (m, n) cells with a side at a pole that become triangles (`poles`).
     poles : of the face.
     """
@@ -72,7 +71,6 @@ class Grid:
     lines: tuple[Array, Array]
     kept: Mask
     inside: Mask
-    crossed: Mask
     polar: Mask
     poles: tuple[Pole, ...] = ()
 
@@ -277,7 +275,7 @@ def winding(face: Face, uv: Array) -> Mask:
     return np.asarray((crossed & (at > q)).sum(axis=1) % 2 == 1)
 
 
-def make_grid(brep: Brep, number: int, lines: tuple[Array, Array], sizing: Sizing, banned: Mask | None = None) -> Grid:
+def make_grid(brep: Brep, number: int, lines: tuple[Array, Array], sizing: Sizing) -> Grid:
     """Decide which cells become quadrilaterals; sides on edges are looked at when the face is meshed."""
     face = brep.faces[number]
     surface = face.surface
@@ -291,8 +289,6 @@ def make_grid(brep: Brep, number: int, lines: tuple[Array, Array], sizing: Sizin
             if followed(c, surface) < 0:
                 _mark(c, lines, crossed)
     kept = inside & ~crossed
-    if banned is not None and banned.shape == kept.shape:
-        kept &= ~banned
     poles = tuple(poles_of(brep, number))
     polar, beside = _at_poles(kept, poles)
     kept &= ~beside
@@ -306,7 +302,7 @@ def make_grid(brep: Brep, number: int, lines: tuple[Array, Array], sizing: Sizin
         tips, cells = pole.onwards(polar), pole.onwards(kept)
         if len(tips) > 1:
             tips[0] &= cells[1]
-    return Grid(lines, kept, inside, crossed, polar, poles)
+    return Grid(lines, kept, inside, polar, poles)
 
 
 def _at_poles(inner: Mask, poles: tuple[Pole, ...]) -> tuple[Mask, Mask]:

@@ -34,7 +34,6 @@ from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from geometry.hybrid.affine import relaxed, spread
-from geometry.hybrid.creases import Creases
 from geometry.hybrid.fairing import fair_displacement
 from geometry.hybrid.field import field_under
 from geometry.hybrid.filling import LIMIT
@@ -61,22 +60,6 @@ LOWER = 0.7
 """Factor of the depth around elements that are not certified."""
 STUBBORN = 0.4
 """Factor below which a vertex leaves its path for the straight one."""
-
-
-def inner_shell(shell: Shell, omega: float) -> tuple[Shell, Array]:
-    """Skin moved inwards along straight paths.
-
-    Parameters
-    ----------
-    omega : share of the way to the mid-structure, in (0, 1).
-
-    Returns
-    -------
-    The shell, and the displacement of each function's control point (n, 3).
-    """
-    ways = ways_of(shell, None)
-    D = _displacement(shell, omega * ways.straight, ways.creases)
-    return moved(shell, D), D
 
 
 def traced(
@@ -192,13 +175,6 @@ def moved(shell: Shell, displacement: Array) -> Shell:
         at = functions_at(block.basis, block.basis.cell.vertices)
         vertices[own] = bezier_coefficients(block, points)[:, at]
     return replace(shell, points=points, vertices=vertices)
-
-
-def _displacement(shell: Shell, shift: Array, made: Creases) -> Array:
-    """Displacement of control points (n, c) by shifts of the vertices (v, c): as nearly affine as those are, or smooth
-    where the skin's functions are smoother than C0 (`fairing`).
-    """
-    return fair_displacement(shell, shift) if _smooth(shell) else spread(shell, shift, made)
 
 
 def _smooth(shell: Shell) -> bool:

@@ -29,9 +29,8 @@ from iga.errors import InputError
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-#: Vertices of a pyramid and a tetrahedron over a skin element, -1 the vertex off the skin, as positions in its corners.
 ON_QUAD = np.argsort(np.array(PYRAMID.faces[0].vertices))
-ON_TRIANGLE = np.array([-1, 0, 1, 2])
+"""Corners of a quadrilateral of the skin as the base of a pyramid whose third coordinate points off the skin."""
 
 
 @dataclass(frozen=True, eq=False)

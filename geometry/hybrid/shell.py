@@ -17,7 +17,6 @@ from geometry.hybrid.skin import Skin
 from iga.bernstein import functions_at
 from iga.block import bezier_coefficients
 from iga.domain import Space
-from iga.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -58,13 +57,7 @@ def shell_of(skin: Skin) -> Shell:
 
     Vertices are functions where an element's extraction is the identity; corners of other elements are recognised by
     their position.
-
-    Raises
-    ------
-    InputError : the skin has hanging nodes.
     """
-    if not skin.edge_to_edge:
-        raise InputError("the skin has hanging nodes; a volume needs elements that meet edge to edge")
     blocks = skin.space.blocks
     at = [functions_at(block.basis, block.basis.cell.vertices) for block in blocks]
     spots = [bezier_coefficients(block, skin.points)[:, own] for block, own in zip(blocks, at)]

@@ -75,9 +75,8 @@ class Skin:
     faces : for each block, the CAD face of each element (e,).
     names : name of each CAD face; pieces of a face that was split at its seam share one.
     curves : (s, 3) mesh edges that lie on CAD edges: two vertices and the number of the CAD edge.
-    edge_to_edge : no hanging nodes.
     report : distances, areas, volume, ... (see `build_skin`).
-    adjust : of an HB-rep, see `solid.Sealed`.
+    adjust : of an HB-rep, see `sealing.Sealed`.
     """
 
     space: Space
@@ -86,7 +85,6 @@ class Skin:
     faces: tuple[Index, ...]
     names: tuple[str, ...]
     curves: Index
-    edge_to_edge: bool = True
     report: Mapping[str, Any] = field(default_factory=dict)
     adjust: csr_array | None = None
 
@@ -294,7 +292,7 @@ def _built(
         space, owners = spline_blocks(sealed)
         points, adjust = sealed.points, sealed.adjust
     names = tuple(face.name for face in brep.faces)
-    return Skin(space, points, made.vertices, owners, names, made.curves, True, report, adjust), sealed, finer
+    return Skin(space, points, made.vertices, owners, names, made.curves, report, adjust), sealed, finer
 
 
 def _drop(plan: _Plan, finer: Finer) -> bool:

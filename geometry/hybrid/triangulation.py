@@ -245,7 +245,7 @@ def triangulate(
 
     Raises
     ------
-    InputError : the polygons cross, or an element is still turned over in the end.
+    InputError : the polygons cross, or an inner loop lies outside the outer one.
     """
     fixed = len(boundary)
     ring = bridged(boundary, loops, where)

@@ -10,7 +10,7 @@ Axis letters: s segment, k control point, c component.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -276,10 +276,3 @@ def refined(trimming: Trimming, levels: int = 1) -> Trimming:
         n = len(trimming.next)
         trimming = split_segments(trimming, np.arange(n), np.full(n, 0.5))
     return trimming
-
-
-def with_space(trimming: Trimming, space: Array) -> Trimming:
-    """The same trimming with other curves in space (s, 4, 3): those that two faces share."""
-    if space.shape != trimming.space.shape:
-        raise InputError(f"{len(trimming.space)} segments need space curves {trimming.space.shape}, not {space.shape}")
-    return replace(trimming, space=space)
