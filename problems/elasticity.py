@@ -211,7 +211,7 @@ def support_matrix(problem: Elasticity, domain: Domain, points: int | None) -> c
     """Matrix (3n, 3n) of the elastic supports."""
     total = None
     for name, support in problem.support.items():
-        k = checked(support.stiffness, f"support stiffness on '{name}'", 3, domain)
+        k = checked(support.stiffness, f"support stiffness on '{name}'", 1, domain)
 
         def spring(chunk: Chunk, k: Any = k, normal: bool = support.normal) -> Array:
             stiffness = values(k, chunk, ())
@@ -316,7 +316,7 @@ def modes(
     if problem.normal_displacement:
         sliding = slide(problem, domain, C, points)[0]
         springs = sliding if springs is None else springs + sliding
-    density = checked(problem.density, "density", 3, domain)
+    density = checked(problem.density, "density", 1, domain)
     M = matrix(domain, Mass(density, 3), points)
     zero = {
         name: tuple(None if part is None else 0.0 for part in datum) if isinstance(datum, tuple | list) else (0.0,) * 3

@@ -154,7 +154,7 @@ def stiffness(
     K = matrix(domain, diffusion(conductivity), points)
     exchange = None
     for name, convection in problem.convection.items():
-        h = checked(convection.coefficient, f"convection coefficient on '{name}'", 3, domain)
+        h = checked(convection.coefficient, f"convection coefficient on '{name}'", 1, domain)
         term = matrix(domain, Mass(h), points, boundary=name)
         exchange = term if exchange is None else exchange + term
     return K, exchange
@@ -224,7 +224,7 @@ def march(
     clock = Clock()
     problem = resolved(problem, domain)
     conductivity = checked(problem.conductivity, "conductivity", 3, domain)
-    capacity = checked(problem.capacity, "capacity", 3, domain)
+    capacity = checked(problem.capacity, "capacity", 1, domain)
     conduction, exchange = stiffness(problem, domain, conductivity, points)
     K = conduction if exchange is None else conduction + exchange
     M = matrix(domain, Mass(capacity), points)
@@ -280,7 +280,7 @@ def modes(
     problem = resolved(problem, domain)
     conductivity = checked(problem.conductivity, "conductivity", 3, domain)
     conduction, exchange = stiffness(problem, domain, conductivity, points)
-    M = matrix(domain, Mass(checked(problem.capacity, "capacity", 3, domain)), points)
+    M = matrix(domain, Mass(checked(problem.capacity, "capacity", 1, domain)), points)
     fixed = prescribed(domain, dict.fromkeys(problem.temperature, 0.0), 1, points)[0]
     clock.lap("assemble_s")
     values, shapes, log = modes_of(domain, conduction if exchange is None else conduction + exchange, M, fixed, count)

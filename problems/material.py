@@ -31,6 +31,8 @@ Function: TypeAlias = Callable[[Array], Array]
 Scalar: TypeAlias = float | Formula | Field
 Coefficient: TypeAlias = float | Array | Formula | Function | Field
 
+SHAPES: dict[int, tuple[tuple[int, ...], ...]] = {1: ((),), 3: ((), (3, 3)), 6: ((6, 6),)}
+"""Shapes that a coefficient may have at a point: of a scalar, of a conductivity, of a stiffness."""
 VOLUMETRIC = np.zeros((6, 6))
 VOLUMETRIC[:3, :3] = 1.0
 SHEAR = np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
@@ -150,14 +152,19 @@ def symbolic(value: Any) -> sympy.Expr | NDArray[np.object_]:
 
 @dataclass(frozen=True)
 class Checked:
-    """A function of points that raises where its value is not symmetric positive definite."""
+    """A function of points that raises where its value has a wrong shape or is not symmetric positive definite."""
 
     function: Function
     name: str
+    size: int
 
     def __call__(self, x: Array) -> Array:
         """Evaluate at x (..., 3)."""
         value = np.asarray(self.function(x), dtype=float)
+        if value.shape not in [(), *(x.shape[:-1] + shape for shape in SHAPES[self.size])]:
+            raise InputError(
+                f"{self.name} has shape {value.shape} at points {x.shape}, expected {described(self.size)} at each"
+            )
         require_positive(value, x, self.name)
         return value
 
@@ -167,26 +174,41 @@ def checked(coefficient: Any, name: str, size: int, domain: Domain) -> Any:
 
     Parameters
     ----------
-    name : "conductivity" or "stiffness", for messages
-    size : 3 for a conductivity, 6 for a stiffness (which must be (6, 6))
+    name : what it is, for messages
+    size : 1 for a scalar (capacity, density), 3 for a conductivity, 6 for a stiffness; see `SHAPES`
+
+    Raises
+    ------
+    InputError
+        It has another shape, or is not positive (definite).
     """
     if isinstance(coefficient, Formula):
-        if coefficient.shape not in ((size, size), () if size == 3 else (size, size)):
-            raise InputError(f"{name} has shape {coefficient.shape}, expected ({size}, {size})")
+        if coefficient.shape not in SHAPES[size]:
+            raise InputError(f"{name} has shape {coefficient.shape}, expected {described(size)}")
         if not coefficient.is_constant:
-            return Checked(coefficient, name)
+            return Checked(coefficient, name, size)
         coefficient = coefficient(np.zeros(3))
     if isinstance(coefficient, Field):
+        components = int(np.prod(coefficient.coefficients.shape[1:], dtype=int))
+        if components not in [int(np.prod(shape, dtype=int)) for shape in SHAPES[size]]:
+            raise InputError(f"{name} as an attribute has {components} components, expected {described(size)}")
         check_field(coefficient, name, domain)
         return coefficient
     if callable(coefficient):
-        return Checked(coefficient, name)
-    if np.ndim(coefficient) == 0 and size == 3:
+        return Checked(coefficient, name, size)
+    if np.ndim(coefficient) == 0 and () in SHAPES[size]:
         value = number(coefficient if not isinstance(coefficient, np.ndarray) else coefficient.item(), name)
         if not value > 0:
             raise InputError(f"{name} = {value:g} must be positive")
         return value
+    if size == 1:
+        raise InputError(f"{name} has shape {np.shape(coefficient)}, expected {described(size)}")
     return tensor(coefficient, size, name)
+
+
+def described(size: int) -> str:
+    """Words for the shapes that a coefficient of this size may have."""
+    return " or ".join("one number" if shape == () else f"{shape}" for shape in SHAPES[size])
 
 
 def is_tensor(coefficient: Coefficient) -> bool:
@@ -201,9 +223,7 @@ def is_tensor(coefficient: Coefficient) -> bool:
 def check_field(field: Field, name: str, domain: Domain) -> None:
     """Check a field-valued coefficient: by its coefficients where they suffice, else at the quadrature points."""
     coefficients = np.asarray(field.coefficients, dtype=float)
-    side = {1: 1, 9: 3, 36: 6}.get(int(np.prod(coefficients.shape[1:], dtype=int)))
-    if side is None:
-        raise InputError(f"{name} as an attribute has {coefficients.shape[1:]} components; 1, 9 or 36 are possible")
+    side = {1: 1, 9: 3, 36: 6}[int(np.prod(coefficients.shape[1:], dtype=int))]
     bad = np.argwhere(~np.isfinite(coefficients))
     if len(bad):
         raise InputError(f"{name} is not finite at control point {bad[0, 0]}")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from iga.errors import InputError
 from iga.field import attribute
-from problems import heat
+from problems import elasticity, heat
 from problems.formula import from_array, parse
 from problems.material import checked, isotropic, lame, tensor
 from tests.problems.shapes import box
@@ -75,6 +75,27 @@ def test_varying_coefficients_are_checked_where_they_are_used() -> None:
     ]:
         with pytest.raises(InputError, match=words):
             heat.solve(heat.Heat(k, temperature={"*": 0.0}), domain)
+
+
+SCALARS: list = [np.eye(3), from_array(np.diag([1, 1, parse("1 + x").expressions[0]]), "k"), lambda x: x, "tensor"]
+
+
+@pytest.mark.parametrize("value", SCALARS, ids=["array", "formula", "function", "attribute"])
+def test_capacity_density_and_exchange_are_single_numbers(value) -> None:
+    domain = box((2, 2, 2), 1)
+    domain = replace(domain, attributes={"tensor": np.tile(np.eye(3).ravel(), (domain.space.n, 1))})
+    value = attribute(domain, "tensor") if isinstance(value, str) else value
+    held = {"x0": (0.0, 0.0, 0.0)}
+    for name, solve in [
+        ("capacity", lambda: heat.modes(heat.Heat(temperature={"x0": 0.0}, capacity=value), domain, 1)),
+        ("convection coefficient on 'x1'", lambda: heat.solve(
+            heat.Heat(convection={"x1": heat.Convection(value)}), domain)),
+        ("density", lambda: elasticity.modes(elasticity.Elasticity(displacement=held, density=value), domain, 1)),
+        ("support stiffness on 'x0'", lambda: elasticity.solve(
+            elasticity.Elasticity(support={"x0": elasticity.Support(value)}), domain)),
+    ]:
+        with pytest.raises(InputError, match=f"^{name} .*expected one number"):
+            solve()
 
 
 def test_field_with_a_negative_coefficient_is_judged_by_its_values() -> None:
