@@ -1,10 +1,10 @@
 r"""Lowest eigenpairs of K u = lambda M u: modes of vibration and of decay.
 
-Fixed unknowns are left out. Small and medium problems are solved by Lanczos iteration on (K - s M)^-1 M with a factored
-matrix; the shift s is slightly negative, so that K may be singular (a body that is not held has its rigid motions as
-modes of eigenvalue zero). Where the factorization would be too large, LOBPCG (Knyazev 2001,
-doi:10.1137/S1064827500366124) runs with the preconditioner of `iga.linear.solvers`. Every pair is judged by its
-residual
+Fixed unknowns are left out. Problems of a few unknowns are solved by dense matrices; small and medium ones by Lanczos
+iteration on (K - s M)^-1 M with a factored matrix, where the shift s is slightly negative, so that K may be singular (a
+body that is not held has its rigid motions as modes of eigenvalue zero). Where the factorization would be too large,
+LOBPCG (Knyazev 2001, doi:10.1137/S1064827500366124) runs with the preconditioner of `iga.linear.solvers`. Every pair is
+judged by its residual
 
     |K u - lambda M u| <= tol | |K| |u| + |lambda| |M| |u| |,
 
@@ -35,6 +35,9 @@ from iga.linear.solvers import preconditioner_for, prefer_direct, submatrix
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+DENSE = 40
+"""Unknowns up to which eigenpairs are found by dense matrices: the iterations need more than they look for."""
+
 
 @dataclass(frozen=True, eq=False)
 class Modes:
@@ -45,7 +48,7 @@ class Modes:
     values : (m,) ascending eigenvalues.
     vectors : (N, m) modes, orthonormal in M, zero at fixed unknowns.
     residuals : (m,) relative residuals.
-    solver : "lanczos" or "lobpcg".
+    solver : "dense", "lanczos" or "lobpcg".
     """
 
     values: Array
@@ -75,7 +78,7 @@ def eigenpairs(
     fixed : (k,) unknowns held at zero; numbers of free coefficients with a constraint.
     domain : where the unknowns live; needed for a good preconditioner, and for its constraint.
     constraint : (n, n_free) matrix T, applied to each component.
-    solver : "lanczos", "lobpcg" or "auto".
+    solver : "lanczos", "lobpcg" or "auto"; where few unknowns are free, the matrices are dense whatever it says.
     tolerance : relative residual to reach.
 
     Raises
@@ -103,9 +106,9 @@ def eigenpairs(
     A, B = submatrix(K, free), submatrix(M, free)
     # A Rayleigh quotient of each unknown's own function bounds the lowest eigenvalue from above.
     shift = -1e-3 * float((A.diagonal() / B.diagonal()).min()) / len(free) ** (2 / 3)
-    if len(free) <= max(3 * count, 40):
+    if len(free) <= max(3 * count, DENSE):
         values, X = eigh(A.toarray(), B.toarray(), subset_by_index=(0, count - 1))
-        name = "lanczos"
+        name = "dense"
     elif solver == "lanczos" or (solver == "auto" and prefer_direct(A)):
         values, X = _lanczos(A, B, count, shift, max_iterations)
         _require_all(A, B, values, shift)

@@ -52,7 +52,7 @@ class SolveLog:
     solver : "direct" or "cg".
     preconditioner : its name, or the factorization's.
     unknowns : unknowns that were solved for.
-    iterations : of conjugate gradients, or refinement solves of the direct solver.
+    iterations : of conjugate gradients, or 1 with the direct solver.
     residual : |f - K u| / |f| over these unknowns, computed from the result; f includes what fixed unknowns contribute.
     setup_s, solve_s : seconds for factorization or preconditioner, and for the solution.
     """
@@ -174,8 +174,9 @@ def _fixed(fixed: tuple[Index, Array] | None, n: int) -> tuple[NDArray[np.bool_]
     unknowns, data = np.asarray(fixed[0], dtype=np.int64), np.asarray(fixed[1], dtype=float)
     if unknowns.ndim != 1 or np.broadcast_shapes(unknowns.shape, data.shape) != unknowns.shape:
         raise InputError(f"{unknowns.shape} fixed unknowns do not fit {data.shape} values")
-    if len(unknowns) and (unknowns.min() < 0 or unknowns.max() >= n):
-        raise InputError(f"fixed unknown {unknowns.max()} lies outside 0..{n - 1}")
+    outside = unknowns[(unknowns < 0) | (unknowns >= n)]
+    if len(outside):
+        raise InputError(f"fixed unknown {outside[0]} lies outside 0..{n - 1}")
     _require_finite(data, "fixed values")
     held[unknowns], values[unknowns] = True, data
     return held, values
