@@ -16,6 +16,7 @@ from iga.domain import Domain, Space
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,20 +66,29 @@ def evaluate(coefficient: Coefficient, chunk: Chunk) -> Array:
     """
     if isinstance(coefficient, Field):
         values = chunk.at(coefficient.coefficients)
-    elif callable(coefficient):
-        values = np.asarray(coefficient(chunk.x), dtype=float)
-        if values.shape[:2] != chunk.x.shape[:2] and values.ndim >= 1 and values.shape != ():
-            values = np.broadcast_to(values, (*chunk.x.shape[:2], *values.shape))
     else:
-        values = np.asarray(coefficient, dtype=float)
-    if not np.isfinite(values).all():
-        raise InputError(_where(values, chunk))
+        values = given(coefficient, chunk.x)
+    require_finite(values, chunk.x, chunk.elements, chunk.block)
     return values
 
 
-def _where(values: Array, chunk: Chunk) -> str:
-    if values.shape[:2] != (len(chunk.elements), len(chunk.weights)):
-        return "a coefficient is not finite"
-    e, q = np.argwhere(~np.isfinite(values))[0][:2]
-    x, y, z = chunk.x[e, q]
-    return f"a coefficient is not finite in element {chunk.elements[e]} of block {chunk.block} ({x:g}, {y:g}, {z:g})"
+def given(coefficient: float | Array | Callable[[Array], Array], x: Array) -> Array:
+    """Values of a number, constant array or function at points x (e, q, 3), to broadcast against (e, q, ...)."""
+    if not callable(coefficient):
+        return np.asarray(coefficient, dtype=float)
+    values = np.asarray(coefficient(x), dtype=float)
+    if values.shape[:2] != x.shape[:2] and values.shape != ():
+        values = np.broadcast_to(values, (*x.shape[:2], *values.shape))
+    return values
+
+
+def require_finite(values: Array, x: Array, elements: Index, block: int) -> None:
+    """Raise `InputError`, which names the place, unless values at points x (e, q, 3) of elements (e,) are finite."""
+    finite = np.isfinite(values)
+    if finite.all():
+        return
+    if values.shape[:2] != x.shape[:2]:
+        raise InputError("a coefficient is not finite")
+    e, q = np.argwhere(~finite)[0][:2]
+    place = "({:g}, {:g}, {:g})".format(*x[e, q])
+    raise InputError(f"a coefficient is not finite in element {elements[e]} of block {block} {place}")

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from iga.chunk import Chunk
 from iga.domain import Domain
 from iga.errors import InputError
-from iga.field import Coefficient, Field
+from iga.field import Coefficient, Field, given, require_finite
 from iga.frame import Frame, interpolate
 from iga.integrands import VOIGT, Diffusion, Elasticity, Load, Mass
 from iga.kernels import metric
@@ -103,20 +103,11 @@ def evaluate(coefficient: Coefficient, at: Site) -> Array:
 
     Raises
     ------
-    InputError : a value is not finite.
+    InputError : a value is not finite; the element is named.
     """
-    m, q = at.dx.shape
-    if isinstance(coefficient, Field):
-        values = field_at(coefficient.coefficients, at)[0]
-    elif callable(coefficient):
-        x = at.x.swapaxes(1, 2)
-        values = np.asarray(coefficient(x), dtype=float)
-        if values.shape[:2] != (m, q) and values.shape != ():
-            values = np.broadcast_to(values, (m, q, *values.shape))
-    else:
-        values = np.asarray(coefficient, dtype=float)
-    if not np.isfinite(values).all():
-        raise InputError(f"a coefficient is not finite at an element near element {at.lo} of block {at.block}")
+    x = at.x.swapaxes(1, 2)
+    values = field_at(coefficient.coefficients, at)[0] if isinstance(coefficient, Field) else given(coefficient, x)
+    require_finite(values, x, np.arange(at.lo, at.hi), at.block)
     return values
 
 
@@ -193,7 +184,7 @@ def terms(integrand: object, at: Site, work: Buffers) -> Iterator[tuple[int, int
     require_regular(at)
     if isinstance(integrand, Diffusion):
         if values.shape[-2:] == (3, 3) and values.ndim in (2, 4):
-            _require_symmetric(values)
+            require_symmetric(values)
             yield from _pairs(values[..., None, :, None, :], 1, at, work)
             return
         D = work.symmetric[:m]
@@ -202,7 +193,7 @@ def terms(integrand: object, at: Site, work: Buffers) -> Iterator[tuple[int, int
             metric.rational_symmetric(at.W, at.g, D)
         yield 0, 0, D
         return
-    _require_symmetric(values)
+    require_symmetric(values)
     yield from _pairs(_full(values), 3, at, work)
 
 
@@ -214,7 +205,8 @@ def require_regular(at: Site) -> None:
         )
 
 
-def _require_symmetric(values: Array) -> None:
+def require_symmetric(values: Array) -> None:
+    """Raise `NotSymmetricError` unless matrices (..., k, k) are symmetric, up to rounding of their formulas."""
     if np.abs(values - values.swapaxes(-1, -2)).max() > 1e-13 * np.abs(values).max():
         raise NotSymmetricError
 

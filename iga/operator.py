@@ -31,6 +31,7 @@ from iga.forms import (
     evaluate,
     known,
     require_regular,
+    require_symmetric,
     site,
     terms,
 )
@@ -182,8 +183,7 @@ def _fill(
 def _stiffness(integrand: Elasticity, at: Site) -> Array:
     """Stiffness at the points of a site, (1, 1, 6, 6) or (m, q, 6, 6)."""
     values = evaluate(integrand.stiffness, at)
-    if np.abs(values - values.swapaxes(-1, -2)).max() > 1e-13 * np.abs(values).max():
-        raise NotSymmetricError
+    require_symmetric(values)
     return np.ascontiguousarray(values if values.ndim == 4 else values[None, None])
 
 
