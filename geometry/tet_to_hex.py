@@ -23,16 +23,16 @@ Axis letters: e tetrahedron, m sub-hexahedron, n tetrahedral coefficient, b hexa
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from math import comb, factorial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from iga.bernstein import bernstein
-from iga.cells import HEXAHEDRON, TETRAHEDRON
+from iga.bernstein import bernstein, elevation
+from iga.cells import HEXAHEDRON, LINE, TETRAHEDRON
 from iga.errors import InputError
+from iga.parallel import ranges, run
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -59,25 +59,11 @@ def degree_of(count: int) -> int:
     return degree
 
 
-def line_elevation(low: int, high: int) -> Array:
-    """Matrix (high+1, low+1) that raises a Bezier curve from degree ``low`` to ``high``.
-
-    The product of the single steps with rows (.., q/(m+1), 1 - q/(m+1), ..), m -> m+1, in closed form.
-    """
-    return np.array(
-        [
-            [comb(low, j) * comb(high - low, q - j) / comb(high, q) if 0 <= q - j <= high - low else 0.0
-             for j in range(low + 1)]
-            for q in range(high + 1)
-        ]
-    )
-
-
 @cache
 def degenerate_matrix(degree: int) -> Array:
     """Matrix M of Theorem 1, ((n+1)^3, C(n+3, 3)), for degree n >= 1."""
     n = _checked(degree)
-    raised = [line_elevation(low, n) for low in range(n + 1)]
+    raised = [elevation(bernstein(LINE, low), (n,)) for low in range(n + 1)]
     matrix = np.zeros((n + 1, n + 1, n + 1, comb(n + 3, 3)))
     for column, (_, i, j, k) in enumerate(bernstein(TETRAHEDRON, n).exponents.tolist()):
         matrix[i, :, :, column] = np.outer(raised[n - i][:, j], raised[n - i - j][:, k])
@@ -167,22 +153,17 @@ def tets_to_degenerate_hexes(coefficients: Array, out: Array | None = None) -> A
 
 
 def _apply(matrix: Array, coefficients: Array, out: Array | None) -> Array:
-    """``matrix @ coefficients[e]`` for all e, chunks shared by two threads (the products release the interpreter)."""
+    """``matrix @ coefficients[e]`` for all e, in chunks that threads share (the products release the interpreter)."""
     coefficients = np.ascontiguousarray(coefficients, dtype=float)
     shape = (len(coefficients), len(matrix), coefficients.shape[2])
     made = np.empty(shape) if out is None else out.reshape(shape)
-    starts = range(0, len(coefficients), _CHUNK)
 
-    def convert(start: int) -> None:
-        part = slice(start, start + _CHUNK)
-        np.matmul(matrix, coefficients[part], out=made[part])
+    def convert(begin: int, end: int) -> None:
+        for start in range(begin * _CHUNK, min(end * _CHUNK, len(coefficients)), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            np.matmul(matrix, coefficients[part], out=made[part])
 
-    if len(starts) < 4:
-        for start in starts:
-            convert(start)
-    else:
-        with ThreadPoolExecutor(2) as pool:
-            list(pool.map(convert, starts))
+    run([partial(convert, *part) for part in ranges(-(-len(coefficients) // _CHUNK))])
     return made
 
 

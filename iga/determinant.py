@@ -35,13 +35,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from math import comb, factorial, prod
+from math import factorial, prod
 
 import numpy as np
 from numpy.typing import NDArray
 
-from iga.bernstein import Bernstein, bernstein
-from iga.cells import CELLS
+from iga.bernstein import Bernstein, bernstein, elevation
+from iga.cells import CELLS, LINE
 from iga.errors import InputError
 from iga.kernels.jacobian import Plan
 
@@ -207,10 +207,7 @@ def _slope(whole: Form, group: int, v: int) -> Factor:
 
 def _raise_line(p: int, q: int) -> Array:
     """Bernstein coefficients of degree p to degree q on a line, (q+1, p+1)."""
-    inside = [
-        [comb(k, i) * comb(q - k, p - i) if 0 <= k - i <= q - p else 0 for i in range(p + 1)] for k in range(q + 1)
-    ]
-    return np.array(inside, dtype=float) / comb(q, p)
+    return elevation(bernstein(LINE, p), (q,))
 
 
 def _pyramid(d: int) -> tuple[tuple[Factor, ...], Factor]:

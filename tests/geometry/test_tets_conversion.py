@@ -17,12 +17,11 @@ from geometry.tet_to_hex import (
     degree_of,
     hex_matrices,
     hex_to_tet_points,
-    line_elevation,
     tets_to_degenerate_hexes,
     tets_to_hexes,
 )
-from iga.bernstein import bernstein, greville
-from iga.cells import HEXAHEDRON, TETRAHEDRON
+from iga.bernstein import bernstein, elevation, greville
+from iga.cells import HEXAHEDRON, LINE, TETRAHEDRON
 from iga.errors import InputError
 from iga.quadrature import gauss
 
@@ -198,7 +197,7 @@ def test_theorem_one_by_single_elevation_steps(degree):
     made = np.eye(1)
     for m in range(n):
         made = step(m) @ made
-    assert np.allclose(made, line_elevation(0, n), atol=1e-15)
+    assert np.allclose(made, elevation(bernstein(LINE, 0), (n,)), atol=1e-15)
 
 
 def test_degenerate_hex_collapses_one_face_to_a_point_and_one_to_a_line():
