@@ -128,6 +128,19 @@ def dense_extraction(block: Block, elements: Index | slice) -> Array | None:
     return C
 
 
+def distinct_extractions(block: Block) -> tuple[Array, Index]:
+    """Distinct operators C (k, n, b) of a block, and which one each element has (e,); an identity is one."""
+    extraction = block.extraction
+    if extraction is None:
+        return np.eye(block.n)[None], np.zeros(block.elements, dtype=np.int64)
+    if isinstance(extraction, Patterns):
+        return extraction.C, extraction.pattern
+    _, first, pattern = np.unique(extraction.pattern, axis=0, return_index=True, return_inverse=True)
+    C = dense_extraction(block, first)
+    assert C is not None
+    return C, np.asarray(pattern, dtype=np.int64).ravel()
+
+
 def bezier_coefficients(block: Block, values: Array, elements: Index | slice = slice(None)) -> Array:
     """Bernstein coefficients of a field on elements of a block, C^T values[dofs].
 

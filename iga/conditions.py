@@ -26,17 +26,24 @@ from scipy.sparse import csr_array
 
 from iga.assembly import matrix, sum_of, unknowns, vector
 from iga.bernstein import Bernstein, face_functions
-from iga.block import Block, Kronecker, Patterns, dense_extraction
+from iga.block import distinct_extractions
 from iga.chunk import Chunk, facet_chunks, rule_for
 from iga.domain import Domain, Facets, facets_of
 from iga.errors import InputError
 from iga.field import Coefficient, Field, evaluate
-from iga.integrands import Diffusion, Elasticity, Load, Mass, strain_operator
+from iga.integrands import Diffusion, Elasticity, Load, Mass, are_tensors, strain_operator
 from iga.linear.coarse_space import rigid_motions
 from iga.linear.factorization import factorize
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+VANISHING = 1e-12
+"""Extraction coefficients up to which a function has no trace on a face: those of functions with a trace are larger."""
+MASSLESS = 1e-12
+"""Mass of a trace, in the largest one, up to which its facets have collapsed: rounding is all that is left."""
+RECOVERED = 1e-4
+"""Error with which coefficients of order one come back from their loads; dependent functions miss them altogether."""
+
 Value = Any
 """A number, a vector (c,), a function of x (..., 3), a `Field`, or a tuple with one of these or None per component."""
 
@@ -107,14 +114,11 @@ def trace_functions(domain: Domain, facets: tuple[Facets, ...]) -> Index:
     touched = np.zeros(domain.space.n, dtype=bool)
     for f in facets:
         block = domain.space.blocks[f.block]
-        local = _local_traces(block, f.face)
-        elements = f.elements
-        if isinstance(local, tuple):
-            shown, pattern = local
-            dofs = block.dofs[elements]
-            touched[dofs[shown[pattern[elements]]]] = True
-        else:
-            touched[block.dofs[elements][:, local]] = True
+        basis = block.basis
+        assert isinstance(basis, Bernstein)
+        C, pattern = distinct_extractions(block)
+        traced = np.abs(C[:, :, face_functions(basis, f.face)[1]]).max(axis=2) > VANISHING
+        touched[block.dofs[f.elements][traced[pattern[f.elements]]]] = True
     return np.flatnonzero(touched)
 
 
@@ -239,24 +243,6 @@ def _unclaimed(
     return tuple(rest)
 
 
-def _local_traces(block: Block, face: int) -> Index | tuple[NDArray[np.bool_], Index]:
-    """Local functions that live on a face: numbers (m,), or a mask (k, n) per distinct extraction and which (e,)."""
-    basis = block.basis
-    assert isinstance(basis, Bernstein)
-    on_face = face_functions(basis, face)[1]
-    extraction = block.extraction
-    if extraction is None:
-        return on_face
-    if isinstance(extraction, Kronecker):
-        _, first, pattern = np.unique(extraction.pattern, axis=0, return_index=True, return_inverse=True)
-        C = dense_extraction(block, first)
-    else:
-        assert isinstance(extraction, Patterns)
-        C, pattern = extraction.C, extraction.pattern
-    assert C is not None
-    return np.abs(C[:, :, on_face]).max(axis=2) > 1e-12, np.asarray(pattern).ravel()
-
-
 def _trace_space(
     domain: Domain, facets: tuple[Facets, ...], points: int | None
 ) -> tuple[csr_array, Index, Callable[[Array], Array], Index]:
@@ -279,14 +265,14 @@ def _trace_space(
         T = csr_array(constraint[:, free])
     M = csr_array(T.T @ csr_array(matrix(domain, Mass(), points, facets) @ T))
     d = M.diagonal()
-    some = d > 1e-12 * d.max(initial=0.0)
+    some = d > MASSLESS * d.max(initial=0.0)
     kept = np.flatnonzero(some)
     own = csr_array(M[kept][:, kept])
     try:
         factor = factorize(own, symmetric=True)
         # A factorization may step over a pivot that is zero but for rounding; coefficients do not come back then.
         sample = np.random.default_rng(7).standard_normal(len(kept))
-        dependent = bool(np.abs(factor(own @ sample) - sample).max(initial=0.0) > 1e-4)
+        dependent = bool(np.abs(factor(own @ sample) - sample).max(initial=0.0) > RECOVERED)
     except InputError:
         dependent = True
     if dependent:
@@ -332,7 +318,7 @@ def _flux(chunk: Chunk, physics: Diffusion | Elasticity) -> Array:
     n = chunk.normal
     if isinstance(physics, Diffusion):
         k = evaluate(physics.conductivity, chunk)
-        tensor = k.ndim >= 2 and k.shape[-2:] == (3, 3) and k.ndim in (2, 4)
+        tensor = are_tensors(k)
         direction = np.einsum("eqi,...ij->eqj", n, k) if k.ndim == 2 else (
             np.einsum("eqi,eqij->eqj", n, k) if tensor else n * k[..., None])
         return (chunk.G @ direction[..., None])[..., 0][:, :, None, :]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from iga.block import bezier_coefficients
 from iga.conforming import Complex, entity_keys
-from iga.domain import Domain
+from iga.domain import Domain, homogeneous
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ def jumps(domain: Domain, mesh: Complex, samples: int = 4, seed: int = 20190) ->
         raise InputError(f"a mesh of {len(mesh.parts)} parts does not have the elements of the domain's blocks")
     random = np.random.default_rng(seed)
     columns = np.column_stack([domain.points, random.uniform(-1.0, 1.0, domain.space.n)])
-    nets = [bezier_coefficients(block, _homogeneous(domain, columns)) for block in blocks]
+    nets = [bezier_coefficients(block, homogeneous(domain.space, columns)) for block in blocks]
     diagonal = float(np.linalg.norm(np.ptp(domain.points, axis=0)))
     found: list[Jump] = []
     for size in (3, 4):
@@ -87,11 +87,6 @@ def jumps(domain: Domain, mesh: Complex, samples: int = 4, seed: int = 20190) ->
 def worst_jump(domain: Domain, mesh: Complex, samples: int = 4, seed: int = 20190) -> float:
     """Largest jump of a random field and of the map across all facets between two cells; see `jumps`."""
     return max((max(jump.field, jump.map) for jump in jumps(domain, mesh, samples, seed)), default=0.0)
-
-
-def _homogeneous(domain: Domain, columns: Array) -> Array:
-    weights = domain.space.weights
-    return columns if weights is None else np.column_stack([columns * weights[:, None], weights])
 
 
 def _of_size(

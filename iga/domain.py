@@ -178,6 +178,13 @@ def all_facets(domain: Domain) -> tuple[Facets, ...]:
     return facets_of(domain, list(domain.boundaries)) if domain.boundaries else ()
 
 
+def homogeneous(space: Space, columns: Array) -> Array:
+    """Coefficients (n, c) of fields u as they are, or (w u, w), (n, c+1), where the space is rational."""
+    if space.weights is None:
+        return columns
+    return np.column_stack([columns * space.weights[:, None], space.weights])
+
+
 def with_report(domain: Domain, **entries: Any) -> Domain:
     """Return the domain with entries added to its report."""
     return replace(domain, report={**domain.report, **entries})

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iga.chunk import Chunk
-from iga.domain import Domain
+from iga.domain import Domain, homogeneous
 from iga.errors import InputError
 from iga.field import Coefficient, Field, given, require_finite
 from iga.frame import Frame, interpolate
-from iga.integrands import VOIGT, Diffusion, Elasticity, Load, Mass
+from iga.integrands import VOIGT, Diffusion, Elasticity, Load, Mass, are_tensors
 from iga.kernels import metric
 
 Array = NDArray[np.float64]
@@ -83,10 +83,7 @@ def buffers(f: Frame, pairs: bool = False) -> Buffers:
 
 def control_points(domain: Domain) -> Array:
     """Control points (N, 3), or homogeneous ones (w x, w), (N, 4), of a rational space."""
-    weights = domain.space.weights
-    if weights is None:
-        return np.ascontiguousarray(domain.points, dtype=float)
-    return np.column_stack([domain.points * weights[:, None], weights])
+    return np.ascontiguousarray(homogeneous(domain.space, domain.points), dtype=float)
 
 
 def site(f: Frame, block: int, lo: int, hi: int, control: Array, work: Buffers) -> Site:
@@ -183,7 +180,7 @@ def terms(integrand: object, at: Site, work: Buffers) -> Iterator[tuple[int, int
         return
     require_regular(at)
     if isinstance(integrand, Diffusion):
-        if values.shape[-2:] == (3, 3) and values.ndim in (2, 4):
+        if are_tensors(values):
             require_symmetric(values)
             yield from _pairs(values[..., None, :, None, :], 1, at, work)
             return

@@ -69,7 +69,7 @@ class Diffusion:
         """Local matrices (e, n, n)."""
         k = evaluate(self.conductivity, chunk)
         G = chunk.G
-        flux = G @ np.swapaxes(k, -1, -2) if _is_tensor(k) else G * k[..., None, None]
+        flux = G @ np.swapaxes(k, -1, -2) if are_tensors(k) else G * k[..., None, None]
         e, q, n, d = G.shape
         left = G.transpose(0, 2, 1, 3).reshape(e, n, q * d)
         right = (flux * chunk.dx[..., None, None]).transpose(0, 1, 3, 2).reshape(e, q * d, n)
@@ -161,8 +161,8 @@ class InitialStrain:
         return np.einsum("eqvm,eqv->em", strain_operator(chunk.G), stress, optimize=True)
 
 
-def _is_tensor(k: Array) -> bool:
-    """Whether a conductivity is (3, 3) at each point rather than a number."""
+def are_tensors(k: Array) -> bool:
+    """Whether a conductivity, as `iga.field.evaluate` gives it, is (3, 3) at each point rather than a number."""
     return k.ndim in (2, 4) and k.shape[-2:] == (3, 3)
 
 

@@ -22,7 +22,7 @@ from iga.bernstein import Bernstein
 from iga.block import bezier_coefficients
 from iga.certificate import as_bernstein
 from iga.determinant import Form, determinant, form
-from iga.domain import Domain
+from iga.domain import Domain, homogeneous
 from iga.errors import InputError
 from iga.kernels.approach import approach
 from iga.kernels.boxes import LEAF, query
@@ -294,12 +294,11 @@ def _pieces(domain: Domain, number: int, elements: Index) -> list[Index]:
 
 def control_nets(domain: Domain, number: int, elements: Index) -> Array:
     """Homogeneous control points (w x, w) of elements of a block, (m, b, 4)."""
-    weights = domain.space.weights
-    if weights is None:
-        net = bezier_coefficients(domain.space.blocks[number], domain.points, elements)
+    space = domain.space
+    net = bezier_coefficients(space.blocks[number], homogeneous(space, domain.points), elements)
+    if space.weights is None:
         return np.concatenate([net, np.ones((*net.shape[:2], 1))], axis=2)
-    values = np.column_stack([weights[:, None] * domain.points, weights])
-    return bezier_coefficients(domain.space.blocks[number], values, elements)
+    return net
 
 
 def form_nets(domain: Domain, number: int, elements: Index) -> Array:

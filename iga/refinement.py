@@ -27,7 +27,7 @@ from iga.bernstein import Bernstein, bernstein, elevation, functions_at
 from iga.block import Block
 from iga.cells import HEXAHEDRON, TETRAHEDRON, TRIANGLE, WEDGE, Cell
 from iga.conforming import Complex, entity_keys, number
-from iga.domain import Domain, Facets, Space
+from iga.domain import Domain, Facets, Space, homogeneous
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -256,8 +256,7 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
     _require_room(domain, levels, elevate)
     widths = [3] + [int(np.prod(a.shape[1:], dtype=int)) for a in domain.attributes.values()]
     columns = np.column_stack([domain.points, *(a.reshape(space.n, -1) for a in domain.attributes.values())])
-    if space.weights is not None:
-        columns = np.column_stack([columns * space.weights[:, None], space.weights])
+    columns = homogeneous(space, columns)
     bases = [bernstein(block.basis.cell, block.basis.degree) for block in space.blocks]
     coefficients = [columns[block.dofs] for block in space.blocks]
     boundaries = dict(domain.boundaries)

@@ -24,7 +24,7 @@ from iga.cells import PYRAMID
 from iga.certificate import certify
 from iga.descent import descend
 from iga.distortion import Batch, Lattice, evaluate, lattice_of, lattice_table, own_shapes, sample_points, tables_at
-from iga.domain import Domain, Space
+from iga.domain import Domain, Space, homogeneous
 from iga.errors import InputError
 from iga.tether import Tether, springs
 
@@ -343,16 +343,15 @@ def _incidence(space: Space, elements: int) -> csr_array:
 
 def _lowest(domain: Domain, number: int, elements: Index) -> Array:
     """Points (e, 3) of a lattice of each element where det J is lowest."""
-    block, values, weights = domain.space.blocks[number], domain.points, domain.space.weights
-    if weights is not None:
-        values = np.column_stack([values * weights[:, None], weights])
+    block, values = domain.space.blocks[number], homogeneous(domain.space, domain.points)
+    rational = domain.space.weights is not None
     grid = sample_points(block.basis.cell, _FINE)
-    table = lattice_table(block.basis, _FINE, weights is not None)
+    table = lattice_table(block.basis, _FINE, rational)
     low = [np.empty(0, dtype=np.int64)]
     for some in np.array_split(elements, -(-len(elements) // _PORTION)):
         net = bezier_coefficients(block, values, some).swapaxes(1, 2)
         J = (net @ table).reshape(*net.shape[:2], -1, len(grid))
-        if weights is not None:
+        if rational:
             J = (J[:, :3, 1:] - J[:, :3, :1] / J[:, 3:, :1] * J[:, 3:, 1:]) / J[:, 3:, :1]
         low.append(np.linalg.det(np.moveaxis(J, 3, 1)).argmin(axis=1))
     return grid[np.concatenate(low)]

@@ -60,9 +60,9 @@ from iga.certificate import certify, summary
 from iga.conforming import Complex, straight_domain
 from iga.domain import Domain
 from iga.pictures.plot import plot_domain, plot_field
-from iga.pictures.sampling import Samples
 from iga.pictures.skin import Cut
 from iga.progress import QUIET, Progress
+from iga.sampling import Samples
 from iga.scaled_jacobian import scale, scaled_jacobian
 from studies.data import SURFACES
 from studies.figures import plot_panels

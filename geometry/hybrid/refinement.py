@@ -33,7 +33,7 @@ from iga.cells import CELLS, HEXAHEDRON, PYRAMID, TETRAHEDRON, Cell
 from iga.certificate import certify
 from iga.conditions import trace_functions
 from iga.conforming import Complex, boundary, number
-from iga.domain import Domain, Facets, Provenance, Space
+from iga.domain import Domain, Facets, Provenance, Space, homogeneous
 from iga.errors import InputError
 from iga.refinement import children, number_entities, refine_coefficients
 
@@ -87,8 +87,7 @@ def bezier_of(domain: Domain) -> Bezier:
         raise InputError(f"the cells of the domain have degrees {sorted(degrees)}, not one")
     attributes = [np.asarray(a).reshape(space.n, -1) for a in domain.attributes.values()]
     columns = np.column_stack([domain.points, *attributes])
-    if space.weights is not None:
-        columns = np.column_stack([columns * space.weights[:, None], space.weights])
+    columns = homogeneous(space, columns)
     place = np.zeros((len(space.blocks), 2), dtype=np.int64)
     parts: list[tuple[Cell, Index]] = []
     coefficients: list[Array] = []

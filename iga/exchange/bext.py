@@ -32,12 +32,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iga.bernstein import bernstein
-from iga.block import Block, Kronecker, Patterns, dense_extraction
+from iga.block import Block, Patterns, distinct_extractions
 from iga.cells import HEXAHEDRON
 from iga.domain import Domain, Facets, Provenance, Space, check
 from iga.errors import FormatError, InputError
 from iga.exchange.files import write_text
-from iga.pictures.skin import exposed
+from iga.facets import exposed
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -101,17 +101,7 @@ def write_bext(path: str | Path, domain: Domain) -> Path:
 def _vectors(block: Block) -> tuple[Array, Index]:
     """Coefficient vectors (v, b) in the file's order of Bernstein functions, and their numbers (e, n)."""
     order = _bext_order(block.basis.degree)
-    extraction = block.extraction
-    if extraction is None:
-        C, pattern = np.eye(block.n)[None], np.zeros(block.elements, dtype=np.int64)
-    elif isinstance(extraction, Patterns):
-        C, pattern = extraction.C, extraction.pattern
-    else:
-        assert isinstance(extraction, Kronecker)
-        _, examples, pattern = np.unique(extraction.pattern, axis=0, return_index=True, return_inverse=True)
-        dense = dense_extraction(block, examples)
-        assert dense is not None
-        C = dense
+    C, pattern = distinct_extractions(block)
     k, n, b = C.shape
     return C[..., order].reshape(k * n, b), pattern.reshape(-1, 1) * n + np.arange(n)
 

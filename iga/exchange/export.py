@@ -36,7 +36,7 @@ from iga.cells import HEXAHEDRON, PYRAMID, QUADRILATERAL, Cell
 from iga.domain import Domain, Space
 from iga.errors import InputError
 from iga.exchange.files import replacing, require_place
-from iga.pictures.sampling import Quantity, evaluate_block, homogeneous, named_quantities, subdivision
+from iga.sampling import Quantity, evaluate_block, named_quantities, subdivision, weighted_coefficients
 
 if TYPE_CHECKING:
     from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
@@ -58,7 +58,7 @@ def write_vtu(path: str | Path, domain: Domain, fields: Mapping[str, Any] | None
     ----------
     path : file, ends in ``.vtu``.
     fields : by name: coefficients (n,) or (n, c) in the domain's functions, an object with ``coefficients`` and
-        ``space``, or a function of `iga.pictures.sampling.Samples` that returns (m, q) or (m, q, c). Attributes of the
+        ``space``, or a function of `iga.sampling.Samples` that returns (m, q) or (m, q, c). Attributes of the
         domain are written as well.
     degree : least degree of the cells; raise it to interpolate functions better.
 
@@ -164,7 +164,7 @@ def _common(cell: Cell, degrees: list[tuple[int, ...]], least: int) -> Bernstein
 
 def _raised(space: Space, block: int, coefficients: Array, basis: Bernstein) -> tuple[Array, Array | None]:
     """Homogeneous coefficients (e, b, c) and weights (e, b) in a higher degree; exact."""
-    values, weights = homogeneous(space, block, coefficients)
+    values, weights = weighted_coefficients(space, block, coefficients)
     own = space.blocks[block].basis
     if own.degree != basis.degree:
         raise_ = elevation(bernstein(own.cell, own.degree), basis.degree)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from iga.bernstein import bernstein, elevation, functions_at
-from iga.block import Block, Kronecker, Patterns, bezier_coefficients, dense_extraction
+from iga.block import Block, bezier_coefficients, distinct_extractions
 from iga.domain import Space
 from iga.linear.aggregates import aggregated
 
@@ -105,16 +105,8 @@ def linear_prolongation(space: Space) -> csr_array | None:
 def _local(block: Block) -> tuple[Array, Array, Index]:
     """Products C E (k, n, v) with the elevation E from degree one, sums of C over b (k, n), and which k (e,)."""
     E = elevation(bernstein(block.basis.cell, 1), tuple(block.basis.degree))
-    extraction = block.extraction
-    if isinstance(extraction, Kronecker):
-        _, first, pattern = np.unique(extraction.pattern, axis=0, return_index=True, return_inverse=True)
-        C = dense_extraction(block, first)
-    elif isinstance(extraction, Patterns):
-        C, pattern = extraction.C, extraction.pattern
-    else:
-        C, pattern = np.eye(block.n)[None], np.zeros(block.elements, dtype=np.int64)
-    assert C is not None
-    return C @ E, C.sum(axis=2), np.asarray(pattern).ravel()
+    C, pattern = distinct_extractions(block)
+    return C @ E, C.sum(axis=2), pattern
 
 
 def _identify(values: Array) -> tuple[Index, int]:

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from iga.domain import Domain
 from iga.errors import InputError
 from iga.pictures.picture import Bar, compose, trimmed
-from iga.pictures.sampling import named_quantities
 from iga.pictures.skin import Cut, Plane, Skin, faces, plane_of, tessellate
+from iga.sampling import named_quantities
 
 Array = NDArray[np.float64]
 

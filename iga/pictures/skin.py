@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from iga.cells import LINE, Cell
 from iga.domain import Domain, Facets, Space
 from iga.errors import InputError
+from iga.facets import exposed, named
 from iga.field import Field
-from iga.pictures.sampling import Quantity, Samples, evaluate, subdivision
+from iga.sampling import Quantity, Samples, evaluate, subdivision
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -224,7 +224,7 @@ def plane_of(domain: Domain, cut: Cut | str | None) -> Plane | None:
 def _visible(domain: Domain, plane: Plane | None) -> list[tuple[int, Facets]]:
     """Facets to draw with the number of their boundary, -1 for none."""
     if domain.boundaries and (plane is None or plane.smooth):
-        return _named(domain, None)
+        return named(domain)
     keep = []
     for number, block in enumerate(domain.space.blocks):
         if plane is None or plane.smooth:
@@ -232,60 +232,7 @@ def _visible(domain: Domain, plane: Plane | None) -> list[tuple[int, Facets]]:
             continue
         centre = Samples(domain, number, np.arange(block.elements), block.basis.cell.centre[None]).x[:, 0]
         keep.append(plane.height(centre) <= 0.0)
-    return [*_named(domain, keep), *((-1, f) for f in exposed(domain, keep))]
-
-
-def _named(domain: Domain, keep: list[NDArray[np.bool_]] | None) -> list[tuple[int, Facets]]:
-    """Facets of named boundaries, each once: under the first name that holds it."""
-    taken: dict[tuple[int, int], Index] = {}
-    found = []
-    for part, facets in enumerate(domain.boundaries.values()):
-        for f in facets:
-            before = taken.get((f.block, f.face), np.empty(0, dtype=np.int64))
-            elements = np.setdiff1d(f.elements, before)
-            taken[f.block, f.face] = np.union1d(before, elements)
-            if keep is not None:
-                elements = elements[keep[f.block][elements]]
-            if len(elements):
-                found.append((part, Facets(f.block, f.face, elements)))
-    return found
-
-
-def exposed(domain: Domain, keep: list[NDArray[np.bool_]] | None = None) -> list[Facets]:
-    """Facets of kept elements that no other kept element shares and no boundary names, matched by their centres.
-
-    Parameters
-    ----------
-    keep : for each block (e,) which elements are there; all by default.
-    """
-    keep = [np.ones(block.elements, dtype=bool) for block in domain.space.blocks] if keep is None else keep
-    kinds = [
-        (number, k, np.flatnonzero(keep[number]))
-        for number, block in enumerate(domain.space.blocks)
-        for k in range(len(block.basis.cell.faces))
-    ]
-    centres = []
-    for number, k, elements in kinds:
-        face = domain.space.blocks[number].basis.cell.faces[k]
-        middle = face.origin + face.axes @ face.cell.centre
-        centres.append(Samples(domain, number, elements, middle[None]).x[:, 0])
-    places = np.concatenate(centres)
-    if not len(places):
-        return []
-    scale = float(np.ptp(domain.points, axis=0).max()) or 1.0
-    single = np.ones(len(places), dtype=bool)
-    single[cKDTree(places).query_pairs(1e-8 * scale, output_type="ndarray").ravel()] = False
-    named: dict[tuple[int, int], list[Index]] = {}
-    for _, f in _named(domain, keep):
-        named.setdefault((f.block, f.face), []).append(f.elements)
-    found, at = [], 0
-    for number, k, elements in kinds:
-        own = elements[single[at : at + len(elements)]]
-        at += len(elements)
-        own = np.setdiff1d(own, np.concatenate(named.get((number, k), [np.empty(0, dtype=np.int64)])))
-        if len(own):
-            found.append(Facets(number, k, own))
-    return found
+    return [*named(domain, keep), *((-1, f) for f in exposed(domain, keep))]
 
 
 def _clipped(shown: _Shown, skin: Skin, plane: Plane, n: int) -> Skin:

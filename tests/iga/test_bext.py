@@ -13,7 +13,7 @@ from iga.cells import HEXAHEDRON, TETRAHEDRON
 from iga.domain import Domain, Facets, Space
 from iga.errors import FormatError, InputError
 from iga.exchange.bext import read_bext, write_bext
-from iga.pictures.sampling import Samples
+from iga.sampling import Samples
 
 
 def spline(rational=True):

@@ -13,7 +13,7 @@ from iga.domain import Domain, Space
 from iga.errors import InputError
 from iga.exchange.export import bezier_grid, vtk_order, write_vtk, write_vtu
 from iga.field import Field
-from iga.pictures.sampling import Samples, subdivision
+from iga.sampling import Samples, subdivision
 
 pv = pytest.importorskip("pyvista")
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from iga.block import Block, bezier_coefficients
 from iga.cells import Cell
-from iga.domain import Domain, Space
+from iga.domain import Domain, Space, homogeneous
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ class Samples:
     def at(self, coefficients: Array, space: Space | None = None) -> Array:
         """Values of a field with coefficients (n,) or (n, c): (m, q) or (m, q, c)."""
         space = space or self.domain.space
-        values, weights = homogeneous(space, self.block, coefficients, self.elements)
+        values, weights = weighted_coefficients(space, self.block, coefficients, self.elements)
         B = space.blocks[self.block].basis.tabulate(self.points, 0)[0]
         found = B @ values
         if weights is not None:
@@ -81,7 +81,7 @@ class Samples:
     def reference_gradient(self, coefficients: Array, space: Space | None = None) -> Array:
         """Gradients (m, q, c, 3) with respect to reference coordinates."""
         space = space or self.domain.space
-        values, weights = homogeneous(space, self.block, coefficients, self.elements)
+        values, weights = weighted_coefficients(space, self.block, coefficients, self.elements)
         B, dB = space.blocks[self.block].basis.tabulate(self.points, 1)
         q, b, d = dB.shape
         slopes = (dB.transpose(0, 2, 1).reshape(q * d, b) @ values).reshape(len(values), q, d, -1)
@@ -96,7 +96,7 @@ class Samples:
 Quantity = Array | Callable[[Samples], Array]
 
 
-def homogeneous(
+def weighted_coefficients(
     space: Space, block: int, coefficients: Array, elements: Index | slice = slice(None)
 ) -> tuple[Array, Array | None]:
     """Bernstein coefficients of a field times weights (m, b, c), and the weights (m, b) or None where they are one.
@@ -111,7 +111,7 @@ def homogeneous(
     own: Block = space.blocks[block]
     if space.weights is None:
         return bezier_coefficients(own, flat, elements), None
-    both = bezier_coefficients(own, np.column_stack([flat * space.weights[:, None], space.weights]), elements)
+    both = bezier_coefficients(own, homogeneous(space, flat), elements)
     return both[..., :-1], both[..., -1]
 
 
