@@ -318,9 +318,10 @@ def _flux(chunk: Chunk, physics: Diffusion | Elasticity) -> Array:
     n = chunk.normal
     if isinstance(physics, Diffusion):
         k = evaluate(physics.conductivity, chunk)
-        tensor = are_tensors(k)
-        direction = np.einsum("eqi,...ij->eqj", n, k) if k.ndim == 2 else (
-            np.einsum("eqi,eqij->eqj", n, k) if tensor else n * k[..., None])
+        if are_tensors(k):
+            direction = np.einsum("eqi,ij->eqj" if k.ndim == 2 else "eqi,eqij->eqj", n, k)
+        else:
+            direction = n * k[..., None]
         return (chunk.G @ direction[..., None])[..., 0][:, :, None, :]
     D = evaluate(physics.stiffness, chunk)
     zero = np.zeros(n.shape[:2])

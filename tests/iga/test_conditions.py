@@ -149,6 +149,18 @@ def test_nitsche_on_mixed_cells_and_splines() -> None:
         assert errors(domain, u, exact, lambda x: np.broadcast_to(A[0], x.shape)).relative_h1 < 1e-11
 
 
+def test_nitsche_takes_conductivities_of_every_kind() -> None:
+    """2 everywhere, as a number, a tensor, a function, a function of tensors and a field, is one conductivity."""
+    domain = bent(HEXAHEDRON, 2)
+    expected = nitsche(domain, {"boundary": 1.0}, Diffusion(2.0))
+    for k in (
+        2.0 * np.eye(3), lambda x: np.full(x.shape[:-1], 2.0), Field(domain.space, np.full(domain.space.n, 2.0)),
+        lambda x: np.broadcast_to(2.0 * np.eye(3), (*x.shape, 3)),
+    ):
+        for found, wanted in zip(nitsche(domain, {"boundary": 1.0}, Diffusion(k)), expected):
+            assert np.abs(found - wanted).max() < 1e-11 * np.abs(wanted).max()
+
+
 def test_nitsche_where_boundaries_overlap() -> None:
     """Each facet counts once, with the later entry."""
     single = spline_cube(2, 2, 0.1)
