@@ -33,6 +33,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 ROUNDS = 400
+"""A round cuts each segment once at most, and a cut may make a neighbour's leg the longer one, along whole loops."""
+MOST = 20_000
+"""Segments above which curves are taken to meet: halving never separates those."""
+LIKE = 1e-9
+"""Relative difference of two lengths below which they are made equal by moving an end, because a cut there would leave
+a segment as short as that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +90,10 @@ def make_band(trimming: Trimming, knots: tuple[Array, Array], depth: float = 0.2
     InputError : a corner of the face is so sharp that no parameter line enters it, or curves meet.
     """
     lines = tuple(np.unique(k) for k in knots)
-    trimming = replace(trimming, plane=trimming.plane.copy())
     shrink = np.ones(0)
     for _ in range(ROUNDS):
         shrink = np.concatenate([shrink, np.ones(len(trimming.next) - len(shrink))])
-        legs = _legs(trimming, lines, depth, shrink)
-        which, at = _unequal(trimming, legs, where)
+        trimming, legs, which, at = _matched(trimming, _legs(trimming, lines, depth, shrink, where), where)
         if len(which):
             trimming, shrink = _cut(trimming, which, at, shrink)
             continue
@@ -103,7 +107,7 @@ def make_band(trimming: Trimming, knots: tuple[Array, Array], depth: float = 0.2
                 return band
         bad = np.unique(bad)
         trimming, shrink = _cut(trimming, bad, np.full(len(bad), 0.5), shrink)
-        if len(trimming.next) > 20_000:
+        if len(trimming.next) > MOST:
             break
     raise InputError(f"{where}: its trimming curves meet, or are so close that no band fits between them")
 
@@ -118,14 +122,15 @@ def oriented(band: Band) -> Array:
     return np.where(band.forward[:, None, None], curve, curve[:, ::-1])
 
 
-def _legs(trimming: Trimming, lines: tuple[Array, ...], depth: float, shrink: Array) -> _Legs:
+def _legs(trimming: Trimming, lines: tuple[Array, ...], depth: float, shrink: Array, where: str) -> _Legs:
     start, end = trimming.plane[:, 0], trimming.plane[:, 3]
     step = end - start
     reach = np.array([FLAT * (x[-1] - x[0]) for x in lines])
     small = np.ptp(trimming.plane, axis=1) <= 100 * reach
     flat = small.any(axis=1)
     if small.all(axis=1).any():
-        raise InputError("a trimming curve has a segment without length")
+        u, v = start[small.all(axis=1).argmax()]
+        raise InputError(f"{where}: a trimming curve has a segment without length at (u, v) = ({u:.6g}, {v:.6g})")
     sign = np.sign(step)
     q0 = right_corner(start, end)
     way = np.stack([q0 - start, q0 - end], axis=1)
@@ -207,8 +212,12 @@ def _sector(trimming: Trimming, legs: _Legs, s: int, where: str) -> int:
     return k
 
 
-def _unequal(trimming: Trimming, legs: _Legs, where: str) -> tuple[Index, Array]:
-    """Segments to cut because the leg that they share with a neighbour is longer, and where."""
+def _matched(trimming: Trimming, legs: _Legs, where: str) -> tuple[Trimming, _Legs, Index, Array]:
+    """Segments and legs once legs that neighbours share are as long as the shorter one where that needs no cut, and
+    segments to cut because their leg is still the longer one, and where.
+    """
+    trimming = replace(trimming, plane=trimming.plane.copy())
+    legs = replace(legs, length=legs.length.copy(), q0=legs.q0.copy())
     cuts: dict[int, float] = {}
     for s, t in enumerate(trimming.next.tolist()):
         k = _sector(trimming, legs, s, where)
@@ -220,7 +229,7 @@ def _unequal(trimming: Trimming, legs: _Legs, where: str) -> tuple[Index, Array]
         if abs(mine - other) <= 1e-14 * max(mine, other):
             continue
         longer, place = (s, 1) if mine > other else (t, 0)
-        if abs(mine - other) <= 1e-9 * max(mine, other) and not legs.flat[longer]:
+        if abs(mine - other) <= LIKE * max(mine, other) and not legs.flat[longer]:
             _snap(trimming, legs, longer, place, min(mine, other))
             continue
         if longer in cuts:
@@ -234,7 +243,7 @@ def _unequal(trimming: Trimming, legs: _Legs, where: str) -> tuple[Index, Array]
         target = end[d] + way[d] * min(mine, other)
         cuts[longer] = solve_monotone(trimming.plane[longer, :, d], float(target))
     which = np.array(sorted(cuts), dtype=np.int64)
-    return which, np.array([cuts[s] for s in which.tolist()])
+    return trimming, legs, which, np.array([cuts[s] for s in which.tolist()])
 
 
 def _snap(trimming: Trimming, legs: _Legs, s: int, place: int, length: float) -> None:
@@ -253,13 +262,15 @@ def _snap(trimming: Trimming, legs: _Legs, s: int, place: int, length: float) ->
 
 
 def _square(trimming: Trimming, legs: _Legs, s: int, t: int, cuts: dict[int, float]) -> None:
-    """At a corner of two parameter lines, make the last piece of s as long as t's rectangle is deep, and the like."""
+    """Make the last piece of s as long as the rectangle of t is deep, and the first of t as that of s, at a corner of
+    two parameter lines: rectangles are made shallower in place, pieces that are too long get a place in ``cuts``.
+    """
     for piece, other, at_end in ((s, t, True), (t, s, False)):
         wanted = legs.length[other, 0]
         have = float(np.abs(trimming.plane[piece, 3] - trimming.plane[piece, 0]).max())
-        if have < wanted * (1.0 - 1e-9):
+        if have < wanted * (1.0 - LIKE):
             legs.length[other] = have
-        elif have > wanted * (1.0 + 1e-9) and piece not in cuts:
+        elif have > wanted * (1.0 + LIKE) and piece not in cuts:
             d = int(np.argmax(np.abs(trimming.plane[piece, 3] - trimming.plane[piece, 0])))
             end = trimming.plane[piece, 3 if at_end else 0, d]
             way = np.sign(trimming.plane[piece, 0 if at_end else 3, d] - end)
@@ -322,6 +333,7 @@ def _fill(
 
 _PROBES = np.array([(i / 8, j / 8) for i in range(9) for j in range(9 - i)])
 _PROBES = (1.0 - 3e-4) * _PROBES + 1e-4
+"""Points of a triangle, off its sides by 1e-4 of it so that common corners and sides do not count."""
 
 
 def _overlapping(band: Band, phi: Array, legs: _Legs) -> tuple[Index, Index]:

@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+TRIES = 6
+"""How often a face is meshed without sides that others have: new vertices make new sides, rarely such ones again."""
 SMOOTH = 2.3
 """Boundary vertices with a larger angle (radians) inside the face must not be the tip of an ear."""
 
@@ -97,8 +99,8 @@ def mesh_faces(
     for f, chart in enumerate(charts):
         forced: set[tuple[int, int]] = set()
         grid = grids.get(f)
-        for _ in range(6):
-            name = f"{where}: {brep.faces[f].name}"
+        name = f"{where}: {brep.faces[f].name}"
+        for _ in range(TRIES):
             made = _mesh_face(brep, f, chart, edges, count, sizing, forced, grid, name, f in banded)
             pairs = interior_pairs(made)
             double = [(a, b) for (a, b), g in pairs.items() if g in taken]
@@ -106,6 +108,8 @@ def mesh_faces(
                 break
             grid = _without(made, double)
             forced |= set(double)
+        else:
+            raise FaceError(f, f"{name}: sides of its elements are sides of elements on other faces as well")
         taken |= set(pairs.values())
         count += len(made.points) - int((made.vertices < count).sum())
         meshes.append(made)

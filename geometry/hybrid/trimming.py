@@ -10,7 +10,7 @@ Axis letters: s segment, k control point, c component.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -176,6 +176,7 @@ def split_segments(trimming: Trimming, which: Index, at: Array) -> Trimming:
 
 def cut_at_knots(trimming: Trimming, knots: tuple[Array, ...]) -> Trimming:
     """Cut segments at knot lines and where one coordinate turns around; snap what follows a parameter line."""
+    trimming = replace(trimming, plane=trimming.plane.copy())  # snapping writes to it
     for d in range(2):
         lines = np.unique(knots[d])
         reach = FLAT * (lines[-1] - lines[0])
@@ -200,7 +201,7 @@ def cut_at_knots(trimming: Trimming, knots: tuple[Array, ...]) -> Trimming:
 
 
 def _straighten(trimming: Trimming, d: int, lines: Array, reach: float) -> None:
-    """Segments along a parameter line lie on it exactly, and on the knot line if that is what it is."""
+    """Put segments along a parameter line on it exactly, and on the knot line if that is what it is, in place."""
     plane = trimming.plane
     for s in np.flatnonzero(np.ptp(plane[:, :, d], axis=1) <= 100 * reach).tolist():
         nearest = lines[np.abs(lines - plane[s, 0, d]).argmin()]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from geometry.cad.brep import Coedge, Face, fit_curve, surface_points
 from geometry.hybrid import shapes
-from geometry.hybrid.band import Band
+from geometry.hybrid.band import Band, make_band
 from geometry.hybrid.band_errors import band_error
 from geometry.hybrid.hbrep import (
     HybridFace,
@@ -34,7 +34,7 @@ from geometry.hybrid.triangle import (
     selection,
     triangle_map,
 )
-from geometry.hybrid.trimming import Trimming, halves, hermite, trim_face
+from geometry.hybrid.trimming import Trimming, cut_at_knots, halves, hermite, trim_face
 from geometry.patch import Patch
 from iga.bernstein import bernstein
 from iga.block import Block, Patterns
@@ -375,3 +375,24 @@ def test_halves_are_the_same_curve() -> None:
     whole = bernstein(LINE, 3).tabulate(np.concatenate([0.3 * t, 0.3 + 0.7 * t])[:, None], 0)[0]
     both = np.concatenate([np.einsum("qk,skc->sqc", B, x) for x in (a, b)], axis=1)
     assert both == pytest.approx(np.einsum("qk,skc->sqc", whole, control), abs=1e-14)
+
+
+def test_cutting_at_knots_leaves_its_input() -> None:
+    """A segment that follows a parameter line but for 1e-9 of the range is put on it, in the result alone."""
+    s = np.linspace(0.0, 1.0, 4)
+    plane = np.stack([np.stack([s, 0.5 + 1e-9 * s], axis=1), np.stack([s[::-1], np.full(4, 0.5)], axis=1)])
+    given = Trimming(plane, np.zeros((2, 4, 3)), np.array([1, 0]), np.arange(2), np.zeros(2), np.ones(2))
+    before = plane.copy()
+    made = cut_at_knots(given, (np.array([0.0, 1.0]), np.array([0.0, 1.0])))
+    assert np.array_equal(given.plane, before)
+    assert np.ptp(made.plane[..., 1]) == 0.0
+
+
+def test_segments_without_length_are_refused_by_place() -> None:
+    corners = np.array([(0.2, 0.2), (0.8, 0.2), (0.8, 0.2 + 1e-13), (0.8, 0.8), (0.2, 0.8)])
+    s = np.linspace(0.0, 1.0, 4)[:, None]
+    plane = np.stack([a + s * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0))])
+    given = Trimming(plane, np.zeros((5, 4, 3)), np.roll(np.arange(5), -1), np.arange(5), np.zeros(5), np.ones(5))
+    knots = (np.repeat([0.0, 1.0], 4), np.repeat([0.0, 1.0], 4))
+    with pytest.raises(InputError, match=r"lid: a trimming curve has a segment without length at .* = \(0.8, 0.2\)"):
+        make_band(given, knots, where="lid")

@@ -17,11 +17,13 @@ from geometry.hybrid import skin as skins
 from geometry.hybrid.banding import band_elements
 from geometry.hybrid.chart import make_chart, to_parameters
 from geometry.hybrid.compatible import compatible_cuts, crossings, line_cuts, with_cuts, with_missing
-from geometry.hybrid.facemesh import FaceMesh, joined
+from geometry.hybrid.facemesh import FaceMesh, joined, mesh_faces
 from geometry.hybrid.grid import followed
 from geometry.hybrid.measures import _beside_edges
-from geometry.hybrid.outline import regions
+from geometry.hybrid.outline import FaceError, regions
+from geometry.hybrid.pieces import Pieces, cut_edges, divide_edges, least_pieces
 from geometry.hybrid.sealing import Sealed, seal
+from geometry.hybrid.sizing import size_edges
 from geometry.hybrid.splining import Splined, on_lines, splined
 from geometry.patch import Patch
 from iga.errors import InputError
@@ -275,6 +277,20 @@ def test_legs_from_one_vertex_end_in_one_point(higher: float, kept: int) -> None
     outline = [(0, 0), (0.2, 0.6), (0.5, 0.3), (0.8, 0.6 + higher), (1, 0), (1, 1), (0, 1)]
     found = band_elements(*straight(outline), lines, np.zeros((0, 2, 2)), chart)
     assert int((np.abs(found.corner[:, 0] - 0.5) < 1e-12).sum()) == kept
+
+
+def test_a_face_whose_sides_others_have_is_refused_by_name() -> None:
+    """An edge of the solid that joins every two vertices: no side inside the first face can be its own."""
+    brep = solid("curved_box")
+    sizing, wanted = size_edges(brep, 0.6)
+    edges, count = cut_edges(brep, divide_edges(brep, sizing, wanted, least_pieces(brep), 1e-2))
+    charts = [make_chart(face) for face in brep.faces]
+    assert len(mesh_faces(brep, charts, edges, count, sizing, {}, "box")) == 6
+    pairs = np.stack(np.triu_indices(count + 300, 1), axis=1).ravel()
+    everywhere = Pieces(np.zeros(len(pairs)), pairs, np.zeros((0, 4, 3)))
+    with pytest.raises(FaceError, match="box: face_0: sides of its elements are sides") as caught:
+        mesh_faces(brep, charts, [*edges, everywhere], count, sizing, {}, "box")
+    assert caught.value.face == 0
 
 
 def test_sides_that_do_not_close_are_refused() -> None:
