@@ -247,10 +247,13 @@ def _sound(elements: list[_Element], plane: Array) -> list[_Element]:
     }
     boxes = np.array([(e.polygon.min(axis=0), e.polygon.max(axis=0)) for e in elements]).reshape(-1, 2, 2)
     size = np.prod(boxes[:, 1] - boxes[:, 0], axis=1)
+    band = np.array([n for n, e in enumerate(elements) if e.kind != "cell"], dtype=np.int64)
     for a in range(len(elements)):
-        near = (boxes[:, 0] < boxes[a, 1]).all(axis=1) & (boxes[:, 1] > boxes[a, 0]).all(axis=1)
-        for b in np.flatnonzero(near[:a]).tolist():
-            if a not in alive or b not in alive or elements[a].kind == elements[b].kind == "cell":
+        # Cells of one grid do not overlap, and there may be many: they are held against the band alone.
+        before = band[band < a] if elements[a].kind == "cell" else np.arange(a)
+        near = (boxes[before, 0] < boxes[a, 1]).all(axis=1) & (boxes[before, 1] > boxes[a, 0]).all(axis=1)
+        for b in before[near].tolist():
+            if a not in alive or b not in alive:
                 continue
             if (
                 _cross(elements[a].sides, elements[b].sides)
@@ -263,7 +266,8 @@ def _sound(elements: list[_Element], plane: Array) -> list[_Element]:
         nodes = np.concatenate([outline, *corners.values()])
         same = NEAR * float(np.linalg.norm(np.ptp(nodes, axis=0)))
         wrong = {n for n in alive if elements[n].kind != "cell" and _ends_on(elements[n].sides, nodes, same)}
-        if not wrong:  # cells meet edge to edge among themselves, and give way last
+        if not wrong:  # cells meet edge to edge among themselves, so these corners are left out; they give way last
+            nodes = np.concatenate([outline, *(x for n, x in corners.items() if elements[n].kind != "cell")])
             wrong = {n for n in alive if elements[n].kind == "cell" and _ends_on(elements[n].sides, nodes, same)}
         if not wrong:
             return [elements[n] for n in sorted(alive)]
