@@ -47,7 +47,7 @@ class Finer:
 
     sizing: Sizing
     cells: dict[int, float]
-    faulty: set[int]
+    faulty: frozenset[int]
     pieces: Index
 
 
@@ -131,7 +131,7 @@ def measure(
             for e in here[failing[here]].tolist():
                 cells[int(owner[e])] = min(cells.get(int(owner[e]), np.inf), float(wanted[e]))
     pieces = _pieces(made, bad | (failing & _between_curves(made)))
-    return report, Finer(Sizing(centre[some], wanted[some]), cells, set(owner[bad].tolist()), pieces)
+    return report, Finer(Sizing(centre[some], wanted[some]), cells, frozenset(owner[bad].tolist()), pieces)
 
 
 def _sides(made: Assembled) -> tuple[Index, list[Index]]:

@@ -52,12 +52,16 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 ROUNDS = 12
+"""Rounds at most: sizes come down by up to three in each, and faces that cannot be meshed take one."""
 MOST = 40_000
 """Elements of a skin above which it is not refined for its distance any more."""
+MOST_PIECES = 3000
+"""Pieces of an edge above which its face is refused: more do not help where some hundreds did not."""
 LITTLE, HALVINGS = 0.25, 2
 """Share of a face kept as quadrilaterals below which its cells are halved, and how often."""
-PATIENCE = 3
-"""Rounds without improvement by a third after which refinement stops: what is left is the file's gap, or a cusp."""
+WORTH, PATIENCE = 0.7, 3
+"""Share of the best distance that a round must reach to be worth its while, and rounds without after which refinement
+stops: what is left is the file's gap, or a cusp."""
 SAME = 1e-3
 """Relative change of the distance of an HB-rep below which the file's gap is all that is left."""
 
@@ -125,9 +129,9 @@ def build_skin(
     ------
     InputError : a face has a cusp, or cannot be meshed, by name.
     """
-    if not (0.0 < size <= 1.0 and 1e-10 <= tolerance <= 0.1):
-        raise InputError(f"{where or brep.name}: size must lie in (0, 1] and tolerance in [1e-10, 0.1]")
     where = where or brep.name or "solid"
+    if not (0.0 < size <= 1.0 and 1e-10 <= tolerance <= 0.1):
+        raise InputError(f"{where}: size must lie in (0, 1] and tolerance in [1e-10, 0.1]")
     refuse_cusps(brep, where)
     off = edge_distances(brep)
     brep = fitted_curves(met(brep, off), tolerance)
@@ -137,7 +141,23 @@ def build_skin(
     solid = splined(brep, tolerance, left) if splines else None
     brep = brep if solid is None else solid.brep
     task, plan = _begun(brep, solid, sizes, left, size * brep.diagonal, tolerance, quads or splines)
-    best: tuple[float, Skin, Sealed | None] | None = None
+    made = _best(task, plan, where, progress)
+    told = {"edge_distance_in_file": float(off.max(initial=0.0)), "edge_distance": float(edge_distances(brep).max())}
+    report: dict[str, Any] = {**made.skin.report, **{key: value / brep.diagonal for key, value in told.items()}}
+    if solid is not None and made.sealed is not None:
+        report["hb_rep"] = describe(made.sealed, solid)
+    return replace(made.skin, report=report)
+
+
+def _best(task: _Task, plan: _Plan, where: str, progress: Progress) -> _Made:
+    """The best skin of all rounds.
+
+    Raises
+    ------
+    InputError : a face could not be meshed in any of them, by name.
+    """
+    brep = task.brep
+    best: _Made | None = None
     failed: FaceError | None = None
     stuck = 0
     for _ in progress.track(range(ROUNDS), "skin"):
@@ -145,33 +165,28 @@ def build_skin(
         try:
             meshes = mesh_faces(brep, task.charts, edges, count, plan.sizing, grids, where, plan.banded)
         except FaceError as error:
-            _give_way(brep, plan, edges, error)
-            failed = error
+            plan, failed = _given_way(brep, plan, edges, error), error
             continue
-        skin, sealed, finer = _built(task, plan, edges, meshes)
-        report = skin.report
-        badness = float(report["crossings"] + report["folded"]) * 1e6 + report["max_distance"]
-        stuck = 0 if best is None or badness < 0.7 * best[0] else stuck + 1
+        made = _built(task, plan, edges, meshes)
+        stuck = 0 if best is None or made.badness < WORTH * best.badness else stuck + 1
         # The same vertex is the worst, however small its elements: that is the file's gap.
-        same = solid is not None and best is not None and badness < 1.0 and abs(badness / best[0] - 1.0) < SAME
-        if best is None or (badness < best[0] and not same):
-            best = (badness, skin, sealed)
-        many = report["elements"] > MOST and not report["crossings"] + report["folded"]
-        if len(finer.sizing.points) == 0 or same or stuck == PATIENCE or many:
+        same = (
+            task.solid is not None and best is not None and made.sound
+            and abs(made.badness / best.badness - 1.0) < SAME
+        )
+        if best is None or (made.badness < best.badness and not same):
+            best = made
+        many = made.sound and made.skin.report["elements"] > MOST
+        if len(made.finer.sizing.points) == 0 or same or stuck == PATIENCE or many:
             break
-        # What folds or is cut although elements were made smaller goes without.
-        if (stuck or best[0] < badness) and _drop(plan, finer):
-            stuck = 0
-        _make_smaller(brep, plan, finer, edges)
+        if stuck or best.badness < made.badness:
+            lighter = _without_faulty(plan, made.finer.faulty)
+            stuck = stuck if lighter is plan else 0
+            plan = lighter
+        plan = _smaller(brep, plan, made.finer, edges)
     if best is None:
-        raise InputError(str(failed))
-    _, skin, sealed = best
-    told = {"edge_distance_in_file": float(off.max(initial=0.0)), "edge_distance": float(edge_distances(brep).max())}
-    told = {key: value / brep.diagonal for key, value in told.items()}
-    skin = replace(skin, report={**skin.report, **told})
-    if solid is not None and sealed is not None:
-        skin = replace(skin, report={**skin.report, "hb_rep": describe(sealed, solid)})
-    return skin
+        raise InputError(str(failed)) from failed
+    return best
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,9 +211,9 @@ class _Task:
     tolerance: float
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Plan:
-    """How the next skin is built; each round changes it.
+    """How a skin is built; each round makes another plan of it.
 
     Attributes
     ----------
@@ -212,12 +227,32 @@ class _Plan:
 
     sizing: Sizing
     cells: dict[int, float]
-    banded: set[int]
+    banded: frozenset[int]
     cuts: dict[int, Array]
     least: list[int]
     without: dict[int, str] = field(default_factory=dict)
     unbanded: dict[int, str] = field(default_factory=dict)
-    faulty: set[int] = field(default_factory=set)
+    faulty: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True, eq=False)
+class _Made:
+    """The skin of one round, as an HB-rep if it is one, and where its elements must be smaller."""
+
+    skin: Skin
+    sealed: Sealed | None
+    finer: Finer
+
+    @property
+    def sound(self) -> bool:
+        """Nothing crosses or folds."""
+        return not self.skin.report["crossings"] + self.skin.report["folded"]
+
+    @property
+    def badness(self) -> float:
+        """Largest distance, relative to the diagonal; a crossing or a fold is worse than any distance."""
+        report = self.skin.report
+        return float(report["crossings"] + report["folded"]) * 1e6 + float(report["max_distance"])
 
 
 def _begun(
@@ -231,10 +266,10 @@ def _begun(
     task = _Task(brep, solid, [make_chart(face) for face in brep.faces], flat, wanted, off, tolerance)
     cells = dict.fromkeys(np.flatnonzero(~flat).tolist(), most) if quads else {}
     cuts = {} if solid is None else compatible_cuts(brep)
-    plan = _Plan(sizing, cells, set() if solid is None else set(cells), cuts, least_pieces(brep))
+    least = least_pieces(brep)
     if cells:
-        plan.cells = _fitting_cells(brep, divide_edges(brep, sizing, wanted, plan.least, tolerance), sizing, cells)
-    return task, plan
+        cells = _fitting_cells(brep, divide_edges(brep, sizing, wanted, least, tolerance), sizing, cells)
+    return task, _Plan(sizing, cells, frozenset(() if solid is None else cells), cuts, least)
 
 
 def _laid_out(task: _Task, plan: _Plan) -> tuple[list[Pieces], int, dict[int, Grid]]:
@@ -250,72 +285,75 @@ def _laid_out(task: _Task, plan: _Plan) -> tuple[list[Pieces], int, dict[int, Gr
     return edges, count, grids
 
 
-def _give_way(brep: Brep, plan: _Plan, edges: list[Pieces], error: FaceError) -> None:
-    """What a face that cannot be meshed gives up: its band, then its quadrilaterals; then its edges get more pieces.
+def _given_way(brep: Brep, plan: _Plan, edges: list[Pieces], error: FaceError) -> _Plan:
+    """Plan in which a face that cannot be meshed gives up its band, then its quadrilaterals; then its edges get more
+    pieces.
 
     Raises
     ------
     InputError : there are too many of these.
     """
-    if error.face in plan.banded:
-        plan.banded.discard(error.face)
-        plan.unbanded[error.face] = str(error)
-    elif error.face in plan.cells:
-        del plan.cells[error.face]
-        plan.without[error.face] = str(error)
-    else:
-        for loop in brep.faces[error.face].loops:
-            for c in loop:
-                if not brep.edges[c.edge].degenerate:
-                    plan.least[c.edge] = 2 * (len(edges[c.edge].ends) - 1)
-    if max(plan.least) > 3000:
+    f = error.face
+    if f in plan.banded:
+        return replace(plan, banded=plan.banded - {f}, unbanded={**plan.unbanded, f: str(error)})
+    if f in plan.cells:
+        cells = {g: most for g, most in plan.cells.items() if g != f}
+        return replace(plan, cells=cells, without={**plan.without, f: str(error)})
+    least = list(plan.least)
+    for e in {c.edge for loop in brep.faces[f].loops for c in loop}:
+        if not brep.edges[e].degenerate:
+            least[e] = 2 * (len(edges[e].ends) - 1)
+    if max(least) > MOST_PIECES:
         raise InputError(str(error)) from error
+    return replace(plan, least=least)
 
 
-def _built(
-    task: _Task, plan: _Plan, edges: list[Pieces], meshes: list[FaceMesh]
-) -> tuple[Skin, Sealed | None, Finer]:
-    """The skin of the faces' meshes, and where elements must be smaller."""
+def _built(task: _Task, plan: _Plan, edges: list[Pieces], meshes: list[FaceMesh]) -> _Made:
+    """The skin of the faces' meshes."""
     brep, solid = task.brep, task.solid
     made = assemble(brep, edges, meshes, task.flat)
     sealed = None if solid is None else seal(solid, meshes, made)
     made = made if sealed is None else sealed.made
     report, finer = measure(brep, made, meshes, task.tolerance, task.off)
+    names = tuple(face.name for face in brep.faces)
     none = {f: "no cell fits between its curves" for f in plan.cells if not len(meshes[f].quads)}
     if solid is not None:
-        report["cad_faces_without_band"] = {brep.faces[f].name: why for f, why in sorted(plan.unbanded.items())}
-    report["cad_faces_without_quadrilaterals"] = {
-        brep.faces[f].name: why for f, why in sorted({**none, **plan.without}.items())
-    }
-    space, points, owners, adjust = made.space, made.points, tuple(part.owner for part in made.parts), None
-    if sealed is not None:
+        report["cad_faces_without_band"] = {names[f]: why for f, why in sorted(plan.unbanded.items())}
+    report["cad_faces_without_quadrilaterals"] = {names[f]: why for f, why in sorted({**none, **plan.without}.items())}
+    if sealed is None:
+        owners = tuple(part.owner for part in made.parts)
+        skin = Skin(made.space, made.points, made.vertices, owners, names, made.curves, report)
+    else:
         space, owners = spline_blocks(sealed)
-        points, adjust = sealed.points, sealed.adjust
-    names = tuple(face.name for face in brep.faces)
-    return Skin(space, points, made.vertices, owners, names, made.curves, report, adjust), sealed, finer
+        skin = Skin(space, sealed.points, made.vertices, owners, names, made.curves, report, sealed.adjust)
+    return _Made(skin, sealed, finer)
 
 
-def _drop(plan: _Plan, finer: Finer) -> bool:
-    """Take bands, then quadrilaterals, from faces that fold or are cut; whether there were any."""
-    dropped = finer.faulty & plan.banded
+def _without_faulty(plan: _Plan, faulty: frozenset[int]) -> _Plan:
+    """Plan without the bands, or if there are none the quadrilaterals, of faces that fold or are cut although elements
+    were made smaller; the same plan if these have neither.
+    """
+    dropped = faulty & plan.banded
     if dropped:
-        plan.banded -= dropped
-        plan.unbanded.update(dict.fromkeys(dropped, "its elements fold or are cut"))
-        return True
-    dropped = finer.faulty & plan.faulty & set(plan.cells)  # not those that fold for the first time
-    plan.without.update(dict.fromkeys(dropped, "its quadrilaterals fold or are cut"))
-    return bool(dropped)
+        why = dict.fromkeys(dropped, "its elements fold or are cut")
+        return replace(plan, banded=plan.banded - dropped, unbanded={**plan.unbanded, **why})
+    dropped = faulty & plan.faulty & plan.cells.keys()  # not those that fold for the first time
+    if not dropped:
+        return plan
+    cells = {f: most for f, most in plan.cells.items() if f not in dropped}
+    why = dict.fromkeys(dropped, "its quadrilaterals fold or are cut")
+    return replace(plan, cells=cells, without={**plan.without, **why})
 
 
-def _make_smaller(brep: Brep, plan: _Plan, finer: Finer, edges: list[Pieces]) -> None:
-    """Smaller elements and cells, and more cuts of edges, where these must be."""
-    plan.cells = {f: min(most, finer.cells.get(f, most)) for f, most in plan.cells.items() if f not in plan.without}
-    plan.faulty = finer.faulty
-    plan.cuts = halved(brep, plan.cuts, finer.pieces, edges, set(plan.cells))
-    plan.sizing = Sizing(
+def _smaller(brep: Brep, plan: _Plan, finer: Finer, edges: list[Pieces]) -> _Plan:
+    """Plan with smaller elements and cells, and more cuts of edges, where these must be."""
+    cells = {f: min(most, finer.cells.get(f, most)) for f, most in plan.cells.items()}
+    sizing = Sizing(
         np.concatenate([plan.sizing.points, finer.sizing.points]),
         np.concatenate([plan.sizing.size, finer.sizing.size]),
     )
+    cuts = halved(brep, plan.cuts, finer.pieces, edges, cells.keys())
+    return replace(plan, sizing=sizing, cells=cells, cuts=cuts, faulty=finer.faulty)
 
 
 def _fitting_cells(
@@ -325,13 +363,9 @@ def _fitting_cells(
     fitting, trial = dict(cells), dict(cells)
     for _ in range(HALVINGS + 1):
         lines, _ = agree(brep, ends, sizing, trial)
-        poor = set()
-        for f, own in lines.items():
-            if f in trial and kept_share(make_grid(brep, f, own, sizing)) < LITTLE:
-                poor.add(f)
-            elif f in trial:
-                fitting[f] = trial[f]
-        trial = {f: 0.5 * size if f in poor else fitting[f] for f, size in trial.items()}
+        poor = {f for f, own in lines.items() if kept_share(make_grid(brep, f, own, sizing)) < LITTLE}
+        fitting |= {f: trial[f] for f in lines if f not in poor}
         if not poor:
             break
+        trial = {f: 0.5 * most if f in poor else fitting[f] for f, most in trial.items()}
     return fitting
