@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.cad.brep import Brep
-from geometry.hybrid.assembling import Assembled, Part
+from geometry.hybrid.assembling import Assembled
 from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import BICUBIC
 from geometry.hybrid.grid import count_intervals
@@ -24,11 +24,16 @@ from iga.quadrature import gauss
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 EXACT = 1e-12
 """Distance, relative to the diagonal, within which an element is the CAD surface."""
 AIM, ORDER = 0.5, 1.0 / 3.5
-"""Share of the tolerance that smaller elements are to reach, and how sizes follow distances."""
+"""Share of the tolerance that smaller elements are to reach, and how sizes follow distances, which fall with the third
+to the fourth power of sizes."""
+LEAST, MOST, HALF = 0.4, 0.6, 0.5
+"""Shares of an element's size: the least asked for at once, because far from the limit sizes and distances follow no
+power; the most asked for where it is too far, so that rounds come to an end; that of one that folds or is cut."""
 HOLD = 0.15
 """Share of the tolerance from which on elements must not grow."""
 
@@ -61,6 +66,64 @@ def measure(
     tolerance : wanted distance, relative to the diagonal.
     off : distance of each edge from its faces, that no element beside it can do away with.
     """
+    straight = _straight(made)
+    pairs = crossing_pairs(made.points[: made.vertices], straight.corners, straight.patch)
+    table = _Elements(*(
+        np.concatenate([getattr(part, name) for part in made.parts])
+        for name in ("distance", "folded", "owner", "banded", "bound")
+    ))
+    bad = table.folded.copy()
+    bad[straight.element[pairs.ravel()]] = True
+    report = _report(brep, made, meshes, table, straight, pairs, bad)
+    reach = np.maximum(tolerance * brep.diagonal, 2.0 * _beside_edges(made, off))  # the edge is half way between faces
+    return report, _finer(made, table, straight, bad, reach)
+
+
+@dataclass(frozen=True, eq=False)
+class _Elements:
+    """The columns of all parts (e,), one part after the other; see `assembling.Part`."""
+
+    distance: Array
+    folded: Mask
+    owner: Index
+    banded: Mask
+    bound: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Straight:
+    """Straight triangles (t, 3) between the vertices of elements, the element (t,) of each, and the same (t,) for those
+    of quadrilaterals, whose two halves are one patch, but -1 for others; lengths of their sides (t, 3), centres (t, 3)
+    and shapes (t,), 1 for equilateral ones.
+    """
+
+    corners: Index
+    element: Index
+    patch: Index
+    sides: Array
+    centre: Array
+    quality: Array
+
+
+def _straight(made: Assembled) -> _Straight:
+    start = np.cumsum([0] + [len(part.corners) for part in made.parts])
+    triangles, element, patch = [], [], []
+    for part, first in zip(made.parts, start.tolist()):
+        numbers = first + np.arange(len(part.corners))
+        for a in range(1, part.corners.shape[1] - 1):
+            triangles.append(part.corners[:, [0, a, a + 1]])
+            element.append(numbers)
+            patch.append(numbers if part.block.basis is BICUBIC else np.full(len(numbers), -1))
+    corners = np.concatenate(triangles)
+    x = made.points[corners]
+    sides = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=-1)
+    double = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
+    quality = 2.0 * np.sqrt(3.0) * double / (sides**2).sum(axis=1)
+    return _Straight(corners, np.concatenate(element), np.concatenate(patch), sides, x.mean(axis=1), quality)
+
+
+def _integrals(made: Assembled) -> tuple[Array, float]:
+    """Area of each element (e,), and the volume inside."""
     area, volume = [], 0.0
     middle = made.points.mean(axis=0)
     for part in made.parts:
@@ -72,66 +135,54 @@ def measure(
         normal = np.cross(J[..., 0], J[..., 1])
         volume += float(np.einsum("k,ekc,ekc->", rule.weights, X - middle, normal)) / 3.0
         area.append(np.einsum("k,ek->e", rule.weights, np.linalg.norm(normal, axis=-1)))
-    distance, folded, owner, banded, bound = (
-        np.concatenate([getattr(part, name) for part in made.parts])
-        for name in ("distance", "folded", "owner", "banded", "bound")
-    )
-    areas = np.concatenate(area)
+    return np.concatenate(area), volume
+
+
+def _report(
+    brep: Brep, made: Assembled, meshes: list[FaceMesh], table: _Elements, straight: _Straight, pairs: Index, bad: Mask
+) -> dict[str, Any]:
+    """Numbers of a skin of which some straight triangles (k, 2) cross, and elements fold or are cut (e,)."""
+    areas, volume = _integrals(made)
+    distance = table.distance
     exact = distance <= EXACT * brep.diagonal
-    x = made.points[: made.vertices]
-    straight = [(part.corners[:, [0, a, a + 1]], k) for part in made.parts for k, a in _halves(part)]
-    triangles = np.concatenate([t for t, _ in straight])
-    start = np.cumsum([0] + [len(part.corners) for part in made.parts])
-    element = np.concatenate([
-        start[n] + np.arange(len(part.corners)) for n, part in enumerate(made.parts) for _ in _halves(part)
-    ])
-    own = np.concatenate([
-        np.where(part.block.basis is BICUBIC, start[n] + np.arange(len(part.corners)), -1)
-        for n, part in enumerate(made.parts) for _ in _halves(part)
-    ])
-    pairs = crossing_pairs(x, triangles, own)
-    corners = x[triangles]
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
-    flat = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    quality = 2.0 * np.sqrt(3.0) * flat / (sides**2).sum(axis=1)
-    worst = int(distance.argmax())
     names = [face.name for face in brep.faces]
     report = {
         "elements": len(distance), "quadrilaterals": sum(len(m.quads) for m in meshes),
-        "max_distance": float(distance.max() / brep.diagonal), "worst_face": names[int(owner[worst])],
+        "max_distance": float(distance.max() / brep.diagonal), "worst_face": names[table.owner[distance.argmax()]],
         "exact_area_share": float(areas[exact].sum() / areas.sum()), "area": float(areas.sum()),
-        "band_area": float(areas[banded].sum()), "volume": volume, "volume_error": abs(volume / brep.volume - 1.0),
-        "watertight_gap": _gap(made) / brep.diagonal, "crossings": len(pairs), "folded": int(folded.sum()),
-        "min_quality": float(quality.min()),
-        "cad_faces_with_quadrilaterals": _per_face(
-            brep, meshes, owner, areas, exact, banded, distance, bound
-        ),
+        "band_area": float(areas[table.banded].sum()), "volume": volume,
+        "volume_error": abs(volume / brep.volume - 1.0), "watertight_gap": _gap(made, names) / brep.diagonal,
+        "crossings": len(pairs), "folded": int(table.folded.sum()), "min_quality": float(straight.quality.min()),
+        "cad_faces_with_quadrilaterals": _per_face(brep, meshes, table, areas, exact),
     }  # fmt: skip
-    bad = folded.copy()
-    bad[element[pairs.ravel()]] = True
     if bad.any():
-        report["faulty_faces"] = sorted({names[f] for f in owner[bad].tolist()})
-    reach = np.maximum(tolerance * brep.diagonal, 2.0 * _beside_edges(made, off))  # the edge is half way between faces
+        report["faulty_faces"] = sorted({names[f] for f in table.owner[bad].tolist()})
+    return report
+
+
+def _finer(made: Assembled, table: _Elements, straight: _Straight, bad: Mask, reach: Array) -> Finer:
+    """Where elements must be smaller: those that fold or are cut (e,), and those that are farther than their ``reach``
+    (e,) from the CAD surfaces.
+    """
+    distance, owner = table.distance, table.owner
     failing = bad | (distance > reach)
     # What is nearly too far is held at its size, or the next mesh, where it may be larger, is too far there.
     some = failing | (distance > HOLD * reach)
     if not failing.any():
         some[:] = False
-    shrink = np.clip((AIM * reach / (distance + 1e-300)) ** ORDER, 0.4, 1.0) / SPLIT
-    shrink = np.where(bad, 0.5, np.where(failing, np.minimum(shrink, 0.6), shrink))
+    shrink = np.clip((AIM * reach / (distance + 1e-300)) ** ORDER, LEAST, 1.0) / SPLIT
+    shrink = np.where(bad, HALF, np.where(failing, np.minimum(shrink, MOST), shrink))
     longest = np.zeros(len(distance))
-    np.maximum.at(longest, element, sides.max(axis=1))
+    np.maximum.at(longest, straight.element, straight.sides.max(axis=1))
     centre = np.zeros((len(distance), 3))
-    np.add.at(centre, element, corners.mean(axis=1) / np.bincount(element)[element][:, None])
+    np.add.at(centre, straight.element, straight.centre / np.bincount(straight.element)[straight.element][:, None])
     wanted = longest * shrink
-    cells: dict[int, float] = {}
-    for n, part in enumerate(made.parts):
-        if part.block.basis is BICUBIC:
-            here = np.arange(start[n], start[n + 1])
-            for e in here[failing[here]].tolist():
-                cells[int(owner[e])] = min(cells.get(int(owner[e]), np.inf), float(wanted[e]))
+    bicubic = np.repeat([part.block.basis is BICUBIC for part in made.parts], [len(p.corners) for p in made.parts])
+    least = np.full(int(owner.max()) + 1, np.inf)
+    np.minimum.at(least, owner[failing & bicubic], wanted[failing & bicubic])
+    cells = {int(f): float(least[f]) for f in np.flatnonzero(np.isfinite(least))}
     pieces = _pieces(made, bad | (failing & _between_curves(made)))
-    return report, Finer(Sizing(centre[some], wanted[some]), cells, frozenset(owner[bad].tolist()), pieces)
+    return Finer(Sizing(centre[some], wanted[some]), cells, frozenset(owner[bad].tolist()), pieces)
 
 
 def _sides(made: Assembled) -> tuple[Index, list[Index]]:
@@ -141,7 +192,7 @@ def _sides(made: Assembled) -> tuple[Index, list[Index]]:
     return np.sort(made.curves[:, :2], axis=1) @ weight, [np.sort(pair, axis=2) @ weight for pair in sides]
 
 
-def _pieces(made: Assembled, some: NDArray[np.bool_]) -> Index:
+def _pieces(made: Assembled, some: Mask) -> Index:
     """Pieces of edges (k, 3) that are sides of some elements."""
     curves, sides = _sides(made)
     first = np.cumsum([len(own) for own in sides])[:-1]
@@ -157,26 +208,22 @@ def _beside_edges(made: Assembled, off: Array) -> Array:
     return np.concatenate([at[part.corners].max(axis=1, initial=0.0) for part in made.parts])
 
 
-def _between_curves(made: Assembled) -> NDArray[np.bool_]:
+def _between_curves(made: Assembled) -> Mask:
     """Elements (e,) with two sides or more on edges, as at the tip of a face: only their pieces matter."""
     curves, sides = _sides(made)
     return np.concatenate([np.isin(own, curves).sum(axis=1) >= 2 for own in sides])
 
 
-def _halves(part: Part) -> list[tuple[int, int]]:
-    """Straight triangles (0, a, a + 1) of an element's corners."""
-    return [(k, k + 1) for k in range(part.corners.shape[1] - 2)]
-
-
 def _per_face(
-    brep: Brep, meshes: list[FaceMesh], owner: Index, area: Array, exact: NDArray[np.bool_],
-    banded: NDArray[np.bool_], distance: Array, bound: Array,
-) -> list[dict[str, Any]]:  # fmt: skip
+    brep: Brep, meshes: list[FaceMesh], table: _Elements, area: Array, exact: Mask
+) -> list[dict[str, Any]]:
+    """A row for each face with quadrilaterals, from areas and exactness of elements (e,)."""
+    distance, banded, bound = table.distance, table.banded, table.bound
     rows = []
     for f, (face, made) in enumerate(zip(brep.faces, meshes)):
         if made.grid is None:
             continue
-        mine = owner == f
+        mine = table.owner == f
         total = float(area[mine].sum())
         rows.append({
             "face": face.name, "kind": face.kind, "quadrilaterals": len(made.quads), "triangles": len(made.triangles),
@@ -202,10 +249,15 @@ def _per_face(
     return rows
 
 
-def _gap(made: Assembled) -> float:
-    """Largest distance between the two sides where elements meet, evaluated independently from both elements."""
+def _gap(made: Assembled, names: list[str]) -> float:
+    """Largest distance between the two sides where elements meet, evaluated independently from both elements.
+
+    Raises
+    ------
+    InputError : a mesh edge does not have two elements, with the CAD faces of those that it has.
+    """
     s = np.linspace(0.0, 1.0, 5)
-    keys, traces = [], []
+    keys, traces, owners = [], [], []
     for part in made.parts:
         basis, local = part.block.basis, made.points[part.block.dofs]
         m = part.corners.shape[1]
@@ -216,12 +268,16 @@ def _gap(made: Assembled) -> float:
             a, b = part.corners[:, k], part.corners[:, (k + 1) % m]
             keys.append(np.minimum(a, b) * made.vertices + np.maximum(a, b))
             traces.append(np.where((a > b)[:, None, None], x[:, ::-1], x))
+            owners.append(part.owner)
     key, trace = np.concatenate(keys), np.concatenate(traces)
     order = np.argsort(key, kind="stable")
     key, trace = key[order], trace[order]
     unique, counts = np.unique(key, return_counts=True)
     wrong = np.flatnonzero(counts != 2)
     if len(wrong):
-        low, high = divmod(int(unique[wrong[0]]), made.vertices)
-        raise InputError(f"mesh edge {low} - {high} has {counts[wrong[0]]} elements: the skin is not closed")
+        there = np.unique(np.concatenate(owners)[order][key == unique[wrong[0]]])
+        raise InputError(
+            f"a mesh edge has {counts[wrong[0]]} elements, on {', '.join(names[f] for f in there)}, where a closed "
+            f"skin has two"
+        )
     return float(np.abs(trace[::2] - trace[1::2]).max())
