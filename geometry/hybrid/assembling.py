@@ -6,7 +6,7 @@ quadrilateral. Axis letters: e element, n function, k side, c component.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -16,9 +16,19 @@ from geometry.cad.brep import Brep, Face
 from geometry.hybrid.chart import Chart, chart_points, line_frames, line_normals, line_points
 from geometry.hybrid.curves import fit_cubics
 from geometry.hybrid.facemesh import FaceMesh, interior_pairs
-from geometry.hybrid.fitting import BICUBIC, CUBIC, INNER, INNER_QUAD, bezier_nets, fit_quads, fit_triangles
+from geometry.hybrid.fitting import (
+    BICUBIC,
+    CUBIC,
+    INNER,
+    INNER_QUAD,
+    Fitted,
+    bezier_nets,
+    fit_quads,
+    fit_triangles,
+)
 from geometry.hybrid.pieces import Pieces
 from geometry.hybrid.poles import AROUND, corners_of
+from iga.bernstein import Bernstein
 from iga.block import Block
 from iga.domain import Space
 
@@ -45,7 +55,7 @@ class Part:
     corners : (e, 3) or (e, 4) vertices around each element, outward normal by the right-hand rule.
     owner : (e,) CAD face.
     distance : (e,) largest sampled distance to the surface.
-    folded : (e,)
+    folded : (e,) the normal turns over somewhere on the element.
     banded : (e,) the element touches an edge, or is a triangle of a curved face.
     bound : (e,) proved bound of the distance to a rational surface, NaN where there is none.
     """
@@ -88,52 +98,80 @@ def assemble(brep: Brep, edges: list[Pieces], meshes: list[FaceMesh], flat: Mask
     used, compact = np.unique(keys, return_inverse=True)  # vertices without a side (inside a seam) are dropped
     renumber = np.full(len(x), -1)
     renumber[used] = np.arange(len(used))
-    keys, x = compact.reshape(keys.shape), x[used]
-    on_edge = np.zeros(len(x), dtype=bool)
-    on_edge[[renumber[v] for a, b, _ in curves for v in (a, b)]] = True
-    table = _SideTable(keys, len(x))
-    shared = np.concatenate([x, values.reshape(-1, 3)])
-    parts: list[Part] = []
-    points = [shared]
-    count = len(shared)
-    for quads in (True, False):
-        columns, inner, made_ = [], [], []
-        for f, (face, m) in enumerate(zip(brep.faces, meshes)):
-            own = renumber[m.vertices[m.quads if quads else m.triangles]]
-            if not len(own):
-                continue
-            if quads:
-                dofs = table.quad_dofs(own)
-                fitted = fit_quads(face, m.low, m.high, shared[np.maximum(dofs, 0)], nets[f])
-                if face.reversed:
-                    own, dofs = own[:, [0, 3, 2, 1]], dofs[:, TURNED]
-                    control = fitted.control[:, TURNED]
-                else:
-                    control = fitted.control
-                touches = on_edge[own].any(axis=1)
-                inside = INNER_QUAD
-            else:
-                local = m.outward
-                own = own[:, ::-1] if face.reversed else own
-                dofs = table.triangle_dofs(own)
-                fitted = fit_triangles(face, m.chart, m.points[local], shared[np.maximum(dofs, 0)])
-                control = fitted.control
-                touches = np.full(len(own), not flat[f])
-                inside = np.array([INNER])
-            dofs[:, inside] = count + np.arange(dofs[:, inside].size).reshape(len(dofs), -1)
-            count += dofs[:, inside].size
-            points.append(control[:, inside].reshape(-1, 3))
-            columns.append(dofs)
-            inner.append(own)
-            bound = np.full(len(own), np.nan) if fitted.bound is None else fitted.bound
-            made_.append((np.full(len(own), f), fitted.distance, fitted.folded, touches, bound))
-        if columns:
-            owner, distance, folded, touches, bound = (np.concatenate(c) for c in zip(*made_))
-            block = Block(BICUBIC if quads else CUBIC, np.concatenate(columns))
-            parts.append(Part(block, np.concatenate(inner), owner, distance, folded, touches, bound))
-    space = Space(tuple(part.block for part in parts), count)
     rows = np.array([(renumber[a], renumber[b], e) for a, b, e in curves], dtype=np.int64).reshape(-1, 3)
-    return Assembled(space, np.concatenate(points), len(x), rows, tuple(parts))
+    on_edge = np.zeros(len(used), dtype=bool)
+    on_edge[rows[:, :2]] = True
+    table = _side_table(compact.reshape(keys.shape), len(used))
+    shared = np.concatenate([x[used], values.reshape(-1, 3)])
+    quads = [
+        _quads(f, face, m, net, renumber[m.vertices[m.quads]], table, shared, on_edge)
+        for f, (face, m, net) in enumerate(zip(brep.faces, meshes, nets)) if len(m.quads)
+    ]
+    triangles = [
+        _triangles(f, face, m, renumber[m.vertices[m.triangles]], table, shared, bool(flat[f]))
+        for f, (face, m) in enumerate(zip(brep.faces, meshes)) if len(m.triangles)
+    ]
+    parts, points, count = [], [shared], len(shared)
+    for basis, inside, own in ((BICUBIC, INNER_QUAD, quads), (CUBIC, np.array([INNER]), triangles)):
+        if own:
+            part, inner = _joined(basis, inside, own, count)
+            parts.append(part)
+            points.append(inner)
+            count += len(inner)
+    space = Space(tuple(part.block for part in parts), count)
+    return Assembled(space, np.concatenate(points), len(used), rows, tuple(parts))
+
+
+@dataclass(frozen=True, eq=False)
+class _Own:
+    """Elements of one cell on one face: vertices around them (e, 3) or (e, 4), functions (e, n), -1 for inner ones,
+    fitted control points in their order, and whether they belong to the band (e,).
+    """
+
+    face: int
+    corners: Index
+    dofs: Index
+    fitted: Fitted
+    banded: Mask
+
+
+def _quads(
+    number: int, face: Face, mesh: FaceMesh, net: Array | None, corners: Index, table: _SideTable, shared: Array,
+    on_edge: Mask,
+) -> _Own:  # fmt: skip
+    """Quadrilaterals of a face, from their vertices (e, 4), control points of vertices and sides, and vertices on
+    edges.
+    """
+    dofs = _quad_dofs(table, corners)
+    fitted = fit_quads(face, mesh.low, mesh.high, shared[np.maximum(dofs, 0)], net)
+    if face.reversed:
+        corners, dofs = corners[:, [0, 3, 2, 1]], dofs[:, TURNED]
+        fitted = replace(fitted, control=fitted.control[:, TURNED])
+    return _Own(number, corners, dofs, fitted, np.asarray(on_edge[corners].any(axis=1)))
+
+
+def _triangles(
+    number: int, face: Face, mesh: FaceMesh, corners: Index, table: _SideTable, shared: Array, flat: bool
+) -> _Own:
+    """Triangles of a face, from their vertices (e, 3) and control points of vertices and sides."""
+    corners = corners[:, ::-1] if face.reversed else corners
+    dofs = _triangle_dofs(table, corners)
+    fitted = fit_triangles(face, mesh.chart, mesh.points[mesh.outward], shared[np.maximum(dofs, 0)])
+    return _Own(number, corners, dofs, fitted, np.full(len(corners), not flat))
+
+
+def _joined(basis: Bernstein, inside: Index, own: list[_Own], first: int) -> tuple[Part, Array]:
+    """Part of the elements of all faces, whose inner functions are numbered from ``first`` on, and the control points
+    (k, 3) of these.
+    """
+    dofs = np.concatenate([o.dofs for o in own])
+    dofs[:, inside] = first + np.arange(len(dofs) * len(inside)).reshape(len(dofs), -1)
+    inner = np.concatenate([o.fitted.control[:, inside].reshape(-1, 3) for o in own])
+    owner = np.concatenate([np.full(len(o.corners), o.face) for o in own])
+    bound = [np.full(len(o.corners), np.nan) if o.fitted.bound is None else o.fitted.bound for o in own]
+    rows = [(o.corners, o.fitted.distance, o.fitted.folded, o.banded) for o in own]
+    corners, distance, folded, banded = (np.concatenate(column) for column in zip(*rows))
+    return Part(Block(basis, dofs), corners, owner, distance, folded, banded, np.concatenate(bound)), inner
 
 
 def _vertices(
@@ -213,39 +251,48 @@ def _on_lines(line: tuple[Face, Chart | None, Array, Array], start: Array, end: 
     return fit_cubics(partial(line_points, *line), start, end, partial(line_normals, *line), frames=frames)[0]
 
 
+@dataclass(frozen=True, eq=False)
 class _SideTable:
-    """Numbers of the functions on sides."""
+    """Sides by their vertices: ``codes`` (s,), ascending, the number of each side (s,), and the number of vertices."""
 
-    def __init__(self, keys: Index, vertices: int):
-        codes = keys[:, 0] * (vertices + 1) + keys[:, 1]
-        self.order = np.argsort(codes)
-        self.codes = codes[self.order]
-        self.vertices = vertices
+    codes: Index
+    side: Index
+    vertices: int
 
-    def pair(self, near: Index, far: Index) -> Index:
-        """Functions (.., 2) between vertices, the one beside ``near`` first."""
-        code = np.minimum(near, far) * (self.vertices + 1) + np.maximum(near, far)
-        edge = self.order[np.searchsorted(self.codes, code)]
-        turned = (near > far).astype(np.int64)
-        first = self.vertices + 2 * edge
-        return np.stack([first + turned, first + 1 - turned], axis=-1)
 
-    def triangle_dofs(self, corners: Index) -> Index:
-        """Functions (e, 10), -1 inside."""
-        dofs = np.full((len(corners), 10), -1, dtype=np.int64)
-        for column, exponent in enumerate(CUBIC.exponents.tolist()):
-            if 3 in exponent:
-                dofs[:, column] = corners[:, exponent.index(3)]
-            elif 0 in exponent:
-                near, far = corners[:, exponent.index(2)], corners[:, exponent.index(1)]
-                dofs[:, column] = self.pair(near, far)[:, 0]
-        return dofs
+def _side_table(keys: Index, vertices: int) -> _SideTable:
+    """Table of sides with vertices (s, 2), the lower one first."""
+    codes = keys[:, 0] * (vertices + 1) + keys[:, 1]
+    order = np.argsort(codes)
+    return _SideTable(codes[order], order, vertices)
 
-    def quad_dofs(self, corners: Index) -> Index:
-        """Functions (e, 16) of corners around, -1 inside."""
-        dofs = np.full((len(corners), 16), -1, dtype=np.int64)
-        for k in range(4):
-            near, far = corners[:, k], corners[:, (k + 1) % 4]
-            dofs[:, SIDES[k, 0]] = near
-            dofs[:, SIDES[k, 1:3]] = self.pair(near, far)
-        return dofs
+
+def _beside(table: _SideTable, near: Index, far: Index) -> Index:
+    """Functions (.., 2) between vertices, the one beside ``near`` first."""
+    code = np.minimum(near, far) * (table.vertices + 1) + np.maximum(near, far)
+    side = table.side[np.searchsorted(table.codes, code)]
+    turned = (near > far).astype(np.int64)
+    first = table.vertices + 2 * side
+    return np.stack([first + turned, first + 1 - turned], axis=-1)
+
+
+def _triangle_dofs(table: _SideTable, corners: Index) -> Index:
+    """Functions (e, 10) of triangles with given corners (e, 3), -1 inside."""
+    dofs = np.full((len(corners), 10), -1, dtype=np.int64)
+    for column, exponent in enumerate(CUBIC.exponents.tolist()):
+        if 3 in exponent:
+            dofs[:, column] = corners[:, exponent.index(3)]
+        elif 0 in exponent:
+            near, far = corners[:, exponent.index(2)], corners[:, exponent.index(1)]
+            dofs[:, column] = _beside(table, near, far)[:, 0]
+    return dofs
+
+
+def _quad_dofs(table: _SideTable, corners: Index) -> Index:
+    """Functions (e, 16) of quadrilaterals with given corners around (e, 4), -1 inside."""
+    dofs = np.full((len(corners), 16), -1, dtype=np.int64)
+    for k in range(4):
+        near, far = corners[:, k], corners[:, (k + 1) % 4]
+        dofs[:, SIDES[k, 0]] = near
+        dofs[:, SIDES[k, 1:3]] = _beside(table, near, far)
+    return dofs

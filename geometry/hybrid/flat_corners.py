@@ -31,6 +31,7 @@ FLAT = 0.15
 _EDGES = TETRAHEDRON.edges
 _FACES = np.array([face.vertices for face in TETRAHEDRON.faces])
 _ROUNDS = 60
+"""Rounds of cuts: in each an edge is cut unless another one of the same tetrahedron was first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +97,9 @@ def without_flat_corners(vertices: Array, tets: Index, skin: Tangents) -> tuple[
         chords, faces = _tangent_faces(len(vertices), tets, skin)
         if not len(chords):
             break
-        vertices, tets = _cut_edges(vertices, tets, chords)
+        vertices, tets = _cut(vertices, tets, chords, _EDGES)
     if len(faces):
-        vertices, tets = _cut_faces(vertices, tets, faces)
+        vertices, tets = _cut(vertices, tets, faces, _FACES)
     flat = _flat(len(vertices), tets, skin)
     middle = vertices[tets[flat]].mean(axis=1)
     new = len(vertices) + np.arange(len(middle))
@@ -148,54 +149,34 @@ def _lookup(keys: Index, wanted: Index) -> tuple[Index, NDArray[np.bool_]]:
     return place, keys[place] == wanted
 
 
-def _cut_faces(vertices: Array, tets: Index, faces: Index) -> tuple[Array, Index]:
-    """Cut faces at their centres, and the tetrahedra on both sides in three; one face of a tetrahedron at most."""
-    n = len(vertices)
-    mine = np.sort(tets[:, _FACES], axis=2)
-    order = np.array([n * n, n, 1])
-    keys = faces @ order
-    place, hit = _lookup(keys, mine @ order)
-    rank = np.where(hit, place, len(keys))
+def _cut(vertices: Array, tets: Index, chosen: Index, table: Index) -> tuple[Array, Index]:
+    """Cut edges or faces at their centres, and each tetrahedron around them in as many parts as they have vertices.
+
+    Of those that share a tetrahedron the first is cut alone.
+
+    Parameters
+    ----------
+    chosen : (k, 2) edges or (k, 3) faces, ascending.
+    table : (m, 2) or (m, 3) local vertices of all edges, or faces, of a tetrahedron.
+    """
+    n, size = len(vertices), chosen.shape[1]
+    order = n ** np.arange(size - 1, -1, -1)
+    place, hit = _lookup(chosen @ order, np.sort(tets[:, table], axis=2) @ order)
+    rank = np.where(hit, place, len(chosen))
     first = rank.min(axis=1)
     lost = np.unique(rank[hit & (rank != first[:, None])])
-    chosen = np.setdiff1d(np.arange(len(keys)), lost)
-    new = np.full(len(keys) + 1, -1)
-    new[chosen] = n + np.arange(len(chosen))
+    kept = np.setdiff1d(rank[hit], lost)
+    new = np.full(len(chosen) + 1, -1)
+    new[kept] = n + np.arange(len(kept))
     cut = new[first] >= 0
-    local = _FACES[rank[cut].argmin(axis=1)]
+    local = table[rank[cut].argmin(axis=1)]
     rows = np.arange(int(cut.sum()))
     parts = [tets[~cut]]
-    for k in range(3):
+    for k in range(size):
         own = tets[cut].copy()
         own[rows, local[:, k]] = new[first[cut]]
         parts.append(own)
-    return np.concatenate([vertices, vertices[faces[chosen]].mean(axis=1)]), np.concatenate(parts)
-
-
-def _cut_edges(vertices: Array, tets: Index, bad: Index) -> tuple[Array, Index]:
-    """Cut as many of the edges at their midpoints as share no tetrahedron."""
-    n = len(vertices)
-    keys = bad @ np.array([n, 1])
-    ends = np.sort(tets[:, _EDGES], axis=2)
-    mine = ends @ np.array([n, 1])
-    place = np.minimum(np.searchsorted(keys, mine), len(keys) - 1)
-    hit = keys[place] == mine
-    rank = np.where(hit, place, len(keys))
-    first = rank.min(axis=1)
-    lost = np.unique(rank[hit & (rank != first[:, None])])
-    chosen = np.setdiff1d(np.arange(len(keys)), lost)
-    new = np.full(len(keys) + 1, -1)
-    new[chosen] = n + np.arange(len(chosen))
-    vertices = np.concatenate([vertices, vertices[bad[chosen]].mean(axis=1)])
-    cut = new[first] >= 0
-    edge = _EDGES[rank[cut].argmin(axis=1)]
-    rows = np.arange(int(cut.sum()))
-    halves = []
-    for end in (0, 1):
-        own = tets[cut].copy()
-        own[rows, edge[:, end]] = new[first[cut]]
-        halves.append(own)
-    return vertices, np.concatenate([tets[~cut], *halves])
+    return np.concatenate([vertices, vertices[chosen[kept]].mean(axis=1)]), np.concatenate(parts)
 
 
 def _flat(n: int, tets: Index, skin: Tangents) -> Index:
