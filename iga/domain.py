@@ -173,6 +173,14 @@ def facets_of(domain: Domain, names: str | list[str] | tuple[str, ...]) -> tuple
     return result
 
 
+def grouped_facets(table: Index) -> tuple[Facets, ...]:
+    """Facets by block and local face, from rows (f, 3) of block, element and local face in any order."""
+    kinds = np.unique(table[:, [0, 2]], axis=0)
+    return tuple(
+        Facets(int(b), int(f), np.sort(table[(table[:, 0] == b) & (table[:, 2] == f), 1])) for b, f in kinds
+    )
+
+
 def all_facets(domain: Domain) -> tuple[Facets, ...]:
     """Facets of all named boundaries, each once."""
     return facets_of(domain, list(domain.boundaries)) if domain.boundaries else ()

@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from geometry.hybrid.extraction import blocks_of
-from geometry.hybrid.refinement import Bezier, bezier_of, domain_of
+from geometry.hybrid.refinement import Bezier, bezier_of, domain_of, from_columns
 from geometry.tet_to_hex import hex_matrices
 from geometry.tet_to_hex_mesh import FACES, hex_facets, hex_vertices
 from iga.bernstein import bernstein, face_functions
 from iga.block import Block
 from iga.cells import HEXAHEDRON, TETRAHEDRON, Cell
 from iga.conforming import Complex, entity_keys, number
-from iga.domain import Domain, Facets, Space
+from iga.domain import Domain, Facets, Space, grouped_facets
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -69,18 +69,11 @@ def with_hexes(domain: Domain) -> Domain:
         arrays[f"tets{len(blocks)}"] = elements
         blocks.append(block)
     named = {name: _facets(own, t, rest, where) for name, own in old.facets.items()}
-    weights = None
-    if domain.space.weights is not None:
-        weights, values = np.ascontiguousarray(values[:, -1]), values[:, :-1] / values[:, -1:]
-    attributes, at = {}, 3
-    for name, given in domain.attributes.items():
-        size = int(np.prod(np.shape(given)[1:], dtype=int))
-        attributes[name] = np.ascontiguousarray(values[:, at : at + size]).reshape(-1, *np.shape(given)[1:])
-        at += size
+    points, weights, attributes = from_columns(domain, values)
     origin = domain.provenance
     others = {k: v for k, v in origin.arrays.items() if not k.startswith(("corners", "tets"))}
     return Domain(
-        Space(tuple(blocks), len(values), weights), np.ascontiguousarray(values[:, :3]), named, attributes,
+        Space(tuple(blocks), len(points), weights), points, named, attributes,
         replace(origin, arrays={**others, **arrays}), {**domain.report, "converted_tets": len(tets)},
     )
 
@@ -231,8 +224,4 @@ def _facets(own: Index, t: int, rest: list[int], where: Index) -> tuple[Facets, 
     if len(mine):
         made = hex_facets(mine[:, 1:])
         rows.append(np.column_stack([where[made[:, 0]], made[:, 1]]))
-    table = np.concatenate(rows)
-    kinds = np.unique(table[:, [0, 2]], axis=0)
-    return tuple(
-        Facets(int(b), int(f), np.sort(table[(table[:, 0] == b) & (table[:, 2] == f), 1])) for b, f in kinds
-    )
+    return grouped_facets(np.concatenate(rows))

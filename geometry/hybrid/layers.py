@@ -34,6 +34,7 @@ from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from geometry.hybrid.affine import relaxed, spread
+from geometry.hybrid.extraction import patterns_of
 from geometry.hybrid.fairing import fair_displacement
 from geometry.hybrid.field import field_under
 from geometry.hybrid.filling import LIMIT
@@ -43,10 +44,10 @@ from geometry.hybrid.volume import assemble, complete, degree_of, fill_skin
 from geometry.hybrid.ways import Ways, bounded, inward, ways_of
 from geometry.knots import extraction
 from iga.bernstein import bernstein, functions_at
-from iga.block import Block, Extraction, Patterns, bezier_coefficients, dense_extraction
+from iga.block import Block, Extraction, Patterns, bezier_coefficients
 from iga.cells import HEXAHEDRON, QUADRILATERAL, WEDGE
 from iga.certificate import certify
-from iga.domain import Domain, Facets, Provenance, Space, with_report
+from iga.domain import Domain, Provenance, Space, grouped_facets, with_report
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 
@@ -204,7 +205,7 @@ def with_layers(inside: Domain, shell: Shell, displacements: Array, vertices: in
         vertices + np.arange(spans * len(shell.vertices)).reshape(spans, len(shell.vertices)),
     ])
     blocks, arrays = list(inside.space.blocks), dict(inside.provenance.arrays)
-    named: dict[str, list[Facets]] = {}
+    named: dict[str, list[Index]] = {}  # rows of block, element and local face
     for block, corners, face in zip(shell.space.blocks, shell.corners, shell.face):
         hexes = block.basis.cell is QUADRILATERAL
         cell = HEXAHEDRON if hexes else WEDGE
@@ -221,10 +222,13 @@ def with_layers(inside: Domain, shell: Shell, displacements: Array, vertices: in
         for f, name in enumerate(shell.names):
             mine = np.flatnonzero(face == f)
             if len(mine):
-                named.setdefault(name, []).append(Facets(len(blocks), 5 if hexes else 1, outer + mine))
+                rows = [np.full(len(mine), len(blocks)), outer + mine, np.full(len(mine), 5 if hexes else 1)]
+                named.setdefault(name, []).append(np.column_stack(rows))
         blocks.append(Block(basis, dofs, made))
     origin = inside.provenance
-    boundaries = {name: _merged(named[name]) for name in dict.fromkeys(shell.names) if name in named}
+    boundaries = {
+        name: grouped_facets(np.concatenate(named[name])) for name in dict.fromkeys(shell.names) if name in named
+    }
     return Domain(
         Space(tuple(blocks), inside.space.n + n * count), np.concatenate(points), boundaries,
         provenance=Provenance(origin.source, origin.input, origin.parameters, arrays),
@@ -248,23 +252,11 @@ def _product(block: Block, line: Array, spans: int) -> Extraction:
     plain = np.abs(line - np.eye(line.shape[1])).max() < 1e-15
     if block.extraction is None and plain:
         return None
-    if isinstance(block.extraction, Patterns):
-        C, pattern = block.extraction.C, block.extraction.pattern
-    else:
-        dense = dense_extraction(block, slice(None))
-        C, pattern = (np.eye(block.n)[None], np.zeros(block.elements, dtype=np.int64)) if dense is None else (
-            dense, np.arange(block.elements)
-        )
-    both = np.einsum("kib,sjc->skijbc", C, line).reshape(spans * len(C), C.shape[1] * line.shape[1], -1)
-    which = (np.arange(spans)[:, None] * len(C) + pattern).ravel()
+    old = patterns_of(block)
+    count = len(old.C)
+    both = np.einsum("kib,sjc->skijbc", old.C, line).reshape(spans * count, old.C.shape[1] * line.shape[1], -1)
+    which = (np.arange(spans)[:, None] * count + old.pattern).ravel()
     return Patterns(np.ascontiguousarray(both), which)
-
-
-def _merged(facets: list[Facets]) -> tuple[Facets, ...]:
-    found: dict[tuple[int, int], list[Index]] = {}
-    for f in facets:
-        found.setdefault((f.block, f.face), []).append(f.elements)
-    return tuple(Facets(b, k, np.sort(np.concatenate(e))) for (b, k), e in sorted(found.items()))
 
 
 def complete_with_layers(

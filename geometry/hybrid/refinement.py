@@ -33,7 +33,7 @@ from iga.cells import CELLS, HEXAHEDRON, PYRAMID, TETRAHEDRON, Cell
 from iga.certificate import certify
 from iga.conditions import trace_functions
 from iga.conforming import Complex, boundary, number
-from iga.domain import Domain, Facets, Provenance, Space, homogeneous
+from iga.domain import Domain, Provenance, Space, grouped_facets, homogeneous
 from iga.errors import InputError
 from iga.refinement import children, number_entities, refine_coefficients
 
@@ -74,6 +74,26 @@ def mesh_of(domain: Domain) -> Complex:
     ))
 
 
+def columns_of(domain: Domain) -> Array:
+    """Points and attributes of a domain side by side (n, c), homogeneous and then weights if the space is rational."""
+    attributes = [np.asarray(a).reshape(domain.space.n, -1) for a in domain.attributes.values()]
+    return homogeneous(domain.space, np.column_stack([domain.points, *attributes]))
+
+
+def from_columns(domain: Domain, columns: Array) -> tuple[Array, Array | None, dict[str, Array]]:
+    """Points (n, 3), weights (n,) if there are any, and attributes from columns (n, c) such as `columns_of` makes."""
+    weights = None
+    if domain.space.weights is not None:
+        weights, columns = np.ascontiguousarray(columns[:, -1]), columns[:, :-1] / columns[:, -1:]
+    attributes, at = {}, 3
+    for name, given in domain.attributes.items():
+        shape = np.shape(given)[1:]
+        size = int(np.prod(shape, dtype=int))
+        attributes[name] = np.ascontiguousarray(columns[:, at : at + size]).reshape(-1, *shape)
+        at += size
+    return np.ascontiguousarray(columns[:, :3]), weights, attributes
+
+
 def bezier_of(domain: Domain) -> Bezier:
     """Bernstein coefficients of a domain's points and attributes.
 
@@ -85,9 +105,7 @@ def bezier_of(domain: Domain) -> Bezier:
     degrees = {p for block in space.blocks for p in block.basis.degree}
     if len(degrees) != 1:
         raise InputError(f"the cells of the domain have degrees {sorted(degrees)}, not one")
-    attributes = [np.asarray(a).reshape(space.n, -1) for a in domain.attributes.values()]
-    columns = np.column_stack([domain.points, *attributes])
-    columns = homogeneous(space, columns)
+    columns = columns_of(domain)
     place = np.zeros((len(space.blocks), 2), dtype=np.int64)
     parts: list[tuple[Cell, Index]] = []
     coefficients: list[Array] = []
@@ -266,26 +284,14 @@ def domain_of(old: Domain, fine: Bezier, report: Mapping[str, Any]) -> Domain:
     values = np.empty((n, width))
     for own, coefficients in zip(dofs, fine.coefficients):
         values[own] = coefficients
-    weights = None
-    if old.space.weights is not None:
-        weights, values = np.ascontiguousarray(values[:, -1]), values[:, :-1] / values[:, -1:]
-    attributes, at = {}, 3
-    for name, given in old.attributes.items():
-        size = int(np.prod(np.shape(given)[1:], dtype=int))
-        attributes[name] = np.ascontiguousarray(values[:, at : at + size]).reshape(n, *np.shape(given)[1:])
-        at += size
-    boundaries = {}
-    for name, own in fine.facets.items():
-        kinds = np.unique(own[:, [0, 2]], axis=0)
-        boundaries[name] = tuple(
-            Facets(int(b), int(f), np.sort(own[(own[:, 0] == b) & (own[:, 2] == f), 1])) for b, f in kinds
-        )
+    points, weights, attributes = from_columns(old, values)
+    boundaries = {name: grouped_facets(own) for name, own in fine.facets.items()}
     corners = {f"corners{k}": own for k, (_, own) in enumerate(fine.mesh.parts)}
     kept = {k: v for k, v in old.provenance.arrays.items() if not k.startswith(("corners", "tets"))}
     origin = old.provenance
     return Domain(
         Space(tuple(Block(bernstein(c, fine.degree), d) for (c, _), d in zip(fine.mesh.parts, dofs)), n, weights),
-        np.ascontiguousarray(values[:, :3]), boundaries, attributes,
+        points, boundaries, attributes,
         Provenance(origin.source, origin.input, origin.parameters, {**kept, **corners}), {**old.report, **report},
     )
 

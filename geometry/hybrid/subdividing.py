@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.hybrid.extraction import patterns_of
 from geometry.hybrid.shell import Shell
 from iga.bernstein import functions_at
-from iga.block import Block, Patterns, bezier_coefficients, dense_extraction
+from iga.block import Block, Patterns, bezier_coefficients
 from iga.cells import QUADRILATERAL, TRIANGLE
 from iga.conforming import Complex, number
 from iga.domain import Space
@@ -89,13 +90,7 @@ def _cut(block: Block) -> Block:
     else:
         corners = simplex_children(TRIANGLE).tolist()
         S = np.stack([blossom_matrix(TRIANGLE, degree[0], tuple(map(tuple, own))) for own in corners])
-    if isinstance(block.extraction, Patterns):
-        C, pattern = block.extraction.C, block.extraction.pattern
-    else:
-        made = dense_extraction(block, slice(None))
-        C, pattern = (np.eye(block.n)[None], np.zeros(block.elements, dtype=np.int64)) if made is None else (
-            made, np.arange(block.elements)
-        )
-    fine = np.matmul(C[:, None], np.swapaxes(S, 1, 2)).reshape(-1, *C.shape[1:])
-    which = (4 * pattern[:, None] + np.arange(4)).ravel()
+    old = patterns_of(block)
+    fine = np.matmul(old.C[:, None], np.swapaxes(S, 1, 2)).reshape(-1, *old.C.shape[1:])
+    which = (4 * old.pattern[:, None] + np.arange(4)).ravel()
     return Block(block.basis, np.repeat(block.dofs, 4, axis=0), Patterns(fine, which))

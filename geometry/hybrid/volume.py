@@ -28,7 +28,7 @@ from iga.bernstein import bernstein
 from iga.block import Block
 from iga.cells import PYRAMID, QUADRILATERAL, TETRAHEDRON, TRIANGLE, Cell
 from iga.conforming import Complex, boundary, entity_keys, straight_domain
-from iga.domain import Domain, Facets, Provenance, Space
+from iga.domain import Domain, Facets, Provenance, Space, grouped_facets
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
 
@@ -188,14 +188,5 @@ def _named(skin: Shell, facets: Sequence[Index], places: Sequence[Index]) -> dic
             at[mine] = np.column_stack([place[where[mine, 2]], where[mine, 1], face[mine]])
         rows.append(at)
     table = np.concatenate(rows)  # block, element, local face, CAD face
-    named: dict[str, list[Index]] = {}
-    for number, name in enumerate(skin.names):
-        named.setdefault(name, []).append(table[table[:, 3] == number])
-    result = {}
-    for name, parts in named.items():
-        own = np.concatenate(parts)
-        kinds = np.unique(own[:, [0, 2]], axis=0)
-        result[name] = tuple(
-            Facets(int(b), int(f), np.sort(own[(own[:, 0] == b) & (own[:, 2] == f), 1])) for b, f in kinds
-        )
-    return result
+    names = np.array(skin.names)[table[:, 3]]
+    return {name: grouped_facets(table[names == name, :3]) for name in dict.fromkeys(skin.names)}
