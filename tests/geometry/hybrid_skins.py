@@ -10,11 +10,13 @@ from scipy.sparse import csr_array, lil_array
 
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.numbering import ON_QUAD
+from geometry.hybrid.refinement import mesh_of
 from geometry.hybrid.shell import Shell
 from iga.bernstein import bernstein, elevation, face_functions
 from iga.cells import PYRAMID, QUADRILATERAL, TETRAHEDRON, TRIANGLE
 from iga.conforming import Complex, number
-from iga.domain import Space
+from iga.conformity import jumps
+from iga.domain import Domain, Space
 from tests.splines import bezier_operators, greville
 
 Array = NDArray[np.float64]
@@ -182,3 +184,12 @@ def ball(n: int, degree: int, split: tuple[bool, ...] = (False,) * 6) -> Shell:
         return np.asarray(angle / np.linalg.norm(angle, axis=1, keepdims=True))
 
     return bezier_skin(vertices, quads, triangles, degree, place=to_sphere, face=(on_quad, on_triangle), names=SIDES)
+
+
+def jumps_of(domain: Domain) -> tuple[float, set[tuple[str, str]], int]:
+    """Largest jump across facets between two cells, the pairs of cells that share one, and how many facets have one."""
+    mesh = mesh_of(domain)
+    found = jumps(domain, mesh)
+    total = sum(len(cell.faces) * len(own) for cell, own in mesh.parts)
+    alone = total - 2 * sum(jump.facets for jump in found)
+    return max(max(jump.field, jump.map) for jump in found), {jump.cells for jump in found}, alone

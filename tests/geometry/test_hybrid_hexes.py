@@ -21,8 +21,7 @@ from iga.domain import Space, check, counts
 from iga.locate import locate
 from iga.store import load, save
 from problems.manufactured import solve_exact
-from tests.geometry.hybrid_skins import bend, bezier_skin, box_mesh, spline_box
-from tests.geometry.test_hybrid_volume import jumps
+from tests.geometry.hybrid_skins import bend, bezier_skin, box_mesh, jumps_of, spline_box
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("netgen") is None, reason="no mesh generator is installed")
 
@@ -51,7 +50,7 @@ def test_same_solid_in_hexahedra(layered, mixed):
     assert volume(mixed, 8) == pytest.approx(volume(layered, 8), rel=1e-14)
     assert (certify(mixed).verdict > 0).all()
     assert facet_count(mixed) == facet_count(layered)  # the skin is that of the layers
-    assert jumps(mixed)[0] < 1e-12
+    assert jumps_of(mixed)[0] < 1e-12
 
 
 def test_functions_agree_between_pyramids_and_hexahedra(mixed):

@@ -13,8 +13,6 @@ from geometry.hybrid.meeting import _step, edge_distances, met
 from geometry.hybrid.shapes import SHAPES
 from geometry.hybrid.skin import build_skin
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "cad"
-
 
 def test_displaced_edge_returns_to_both_faces() -> None:
     """An edge pushed off both faces by 1e-5 of the diagonal lies on both again, where the faces cross."""
@@ -93,10 +91,9 @@ def test_skin_reaches_its_tolerance(tolerance: float) -> None:
     assert skin.report["crossings"] == skin.report["folded"] == 0
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
-def test_edges_of_a_file_meet_its_faces() -> None:
+def test_edges_of_a_file_meet_its_faces(data: Path) -> None:
     """Edges 1.1e-5 of the diagonal off in the file are 1.6e-7 off as they are used."""
-    brep = read_cad(DATA / "sliced_cylinder.step", None)
+    brep = read_cad(data / "cad" / "sliced_cylinder.step", None)
     skin = build_skin(brep, 0.2, 2e-5)
     assert skin.report["edge_distance_in_file"] > 1e-5
     assert skin.report["edge_distance"] < 1e-6
@@ -104,34 +101,31 @@ def test_edges_of_a_file_meet_its_faces() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
 @pytest.mark.parametrize(
     ("name", "solid"), [("wrenchnut.stp", 0), ("mainbody_back.stp", None), ("wing_fuselage.step", 0)]
 )
-def test_skins_of_files_reach_the_tolerance(name: str, solid: int | None) -> None:
+def test_skins_of_files_reach_the_tolerance(data: Path, name: str, solid: int | None) -> None:
     """Parts whose edges lie up to 2.6e-5 of the diagonal off their faces, and surfaces with many knots."""
-    skin = build_skin(read_cad(DATA / name, solid), 0.2, 2e-5)
+    skin = build_skin(read_cad(data / "cad" / name, solid), 0.2, 2e-5)
     assert skin.report["max_distance"] <= 2e-5
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
 @pytest.mark.parametrize("kind", ["hybrid", "hb-rep"])
 @pytest.mark.parametrize("name", ["angled.step", "featuretype.step", "pump_carter.stp"])
-def test_quadrilaterals_need_no_plain_triangles_instead(name: str, kind: str) -> None:
+def test_quadrilaterals_need_no_plain_triangles_instead(data: Path, name: str, kind: str) -> None:
     """Parts that once fell back to triangles everywhere, because faces of their quadrilaterals crossed."""
-    report = build_skin(read_cad(DATA / name, None), quads=kind == "hybrid", splines=kind == "hb-rep").report
+    report = build_skin(read_cad(data / "cad" / name, None), quads=kind == "hybrid", splines=kind == "hb-rep").report
     assert report["crossings"] == report["folded"] == 0
     assert report["quadrilaterals"] > 500
     assert report["max_distance"] <= 2e-5
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
 @pytest.mark.parametrize(("name", "solid"), [("wrenchnut.stp", 0), ("mainbody_back.stp", None)])
-def test_gaps_of_a_file_leave_no_folds(name: str, solid: int | None) -> None:
+def test_gaps_of_a_file_leave_no_folds(data: Path, name: str, solid: int | None) -> None:
     """Faces of the second touch each other up to 2.5e-5 of the diagonal apart, and half of that stays on each."""
-    report = build_skin(read_cad(DATA / name, solid), splines=True).report
+    report = build_skin(read_cad(data / "cad" / name, solid), splines=True).report
     assert report["crossings"] == report["folded"] == 0
     assert not report["cad_faces_without_band"]
     assert report["max_distance"] <= 2e-5
@@ -139,10 +133,9 @@ def test_gaps_of_a_file_leave_no_folds(name: str, solid: int | None) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not DATA.exists(), reason="the folder with real models is not there")
-def test_a_leading_edge_keeps_its_splines() -> None:
+def test_a_leading_edge_keeps_its_splines(data: Path) -> None:
     """The wing's faces curl within a thousandth of their length, where triangles are wider than knot intervals."""
-    report = build_skin(read_cad(DATA / "wing_fuselage.step", 0), splines=True).report
+    report = build_skin(read_cad(data / "cad" / "wing_fuselage.step", 0), splines=True).report
     assert report["crossings"] == report["folded"] == 0
     assert not report["cad_faces_without_band"]
     assert report["max_distance"] <= 2e-5
