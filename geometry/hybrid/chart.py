@@ -26,6 +26,7 @@ Mask = NDArray[np.bool_]
 _NARROWS = 3.0
 """How much a chart may narrow towards a pole within an element of its parameter lines' B-splines."""
 _ROWS = 17
+"""Values of v at which the width is taken."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 SAMPLES = 257
+"""Samples of a curve between which it crosses a line, or turns around, once at most; its knots are more."""
 SAME = 1e-6
 """Parameters that differ by less are one."""
 NEAR = 0.1

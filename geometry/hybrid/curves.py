@@ -21,8 +21,11 @@ CurveFrames = Callable[[Array], tuple[Array, Array]]
 """Points and derivatives, each (m, k, c)."""
 
 _SAMPLES = 9
+"""Samples inside a piece at which its distance is measured."""
 _STEP = 1e-4
+"""Step of differences: of second order they are off by 1e-8 of the third derivative, and by 1e-12 from rounding."""
 _ALONG = 0.03
+"""Weight of the distance along a surface beside that along its normal, which alone leaves pieces in planes open."""
 
 
 def tangents(points: CurvePoints, s: Array) -> Array:

@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 RIDGE = 1e-12
+"""Added to the diagonal of normal equations with columns of length one: what is below has no say in them."""
 THROUGH = 30.0
 """Weight of the shifts of vertices beside second differences."""
 ADJUST = 10.0

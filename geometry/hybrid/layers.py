@@ -57,6 +57,7 @@ Index = NDArray[np.int64]
 BETA, SWEEPS = 0.5, 4
 """Relaxation: share of a vertex's shift that the affine fit of its neighbours' replaces, and how often."""
 _TRIES = 3
+"""Shares of the way that are tried on each kind of path, each half of the one before."""
 LOWER = 0.7
 """Factor of the depth around elements that are not certified."""
 STUBBORN = 0.4

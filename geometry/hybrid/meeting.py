@@ -29,11 +29,13 @@ Index = NDArray[np.int64]
 DAMP = 0.1
 """Sine of the angle between faces below which they count as touching."""
 ROUNDS = 3
+"""Steps to the faces: each leaves a hundredth of the distance where these cross at a right angle, by `DAMP`."""
 NEAR = 1e-7
 """Distance, relative to the diagonal, of an edge from its faces that is left as it is."""
 FIT, ENOUGH = 1e-8, 1e-6
 """Distances, relative to the diagonal, of the new curve from its points, the second for short pieces."""
 SAMPLES = 33
+"""Samples of an edge at which its distance is measured."""
 ENDS = np.array([0.0, 1.0])
 
 

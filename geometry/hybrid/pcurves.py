@@ -38,6 +38,7 @@ SHARE = 0.1
 NEARLY = 0.02
 """Share of the parameter range within which a curve may be thought to follow a line."""
 SAMPLES = 65
+"""Samples at which a curve is held against its edge, or a line; its knots are more."""
 
 
 def fitted_curves(brep: Brep, tolerance: float) -> Brep:

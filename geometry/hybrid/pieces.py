@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from geometry.cad.brep import Brep, Curve, curve_points, curve_tangents
 from geometry.hybrid.curves import fit_cubics
-from geometry.hybrid.sizing import Sizing, divide_edge, size_at
+from geometry.hybrid.sizing import SAMPLES, Sizing, divide_edge, size_at
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -52,11 +52,11 @@ def divide_edges(
 
     Parameters
     ----------
-    wanted : sizes along each edge (`sizing.size_edges`); sizes elsewhere count as well.
+    wanted : sizes along each edge (`sizing.size_edges`), at `sizing.SAMPLES` places; sizes elsewhere count as well.
     least : fewest pieces of each edge.
     tolerance : wanted distance, relative to the diagonal.
     """
-    samples = np.linspace(0.0, 1.0, len(next(w for w in wanted if len(w))))
+    samples = np.linspace(0.0, 1.0, SAMPLES)
     found = {}
     for e, edge in enumerate(brep.edges):
         if edge.degenerate:

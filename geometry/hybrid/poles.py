@@ -48,6 +48,7 @@ GROWTH = 0.7
 WHOLE = 0.7
 """Share of the first knot interval from which on it is the first row."""
 TINY = 1e-9
+"""Share of the parameter range within which a degenerate edge lies on a border of it."""
 REVERSED = np.array([
     int(np.flatnonzero((CUBIC.exponents == own[::-1]).all(axis=1))[0]) for own in CUBIC.exponents
 ])

@@ -27,8 +27,9 @@ Index = NDArray[np.int64]
 HEIGHT = 0.5
 """Largest height over the square root of the base's area."""
 MARGIN = 1.5
-_LOWER = 0.7
-_ROUNDS = 30
+"""By how much higher pyramids must be free of each other and of the skin: tetrahedra lie between them."""
+_LOWER, _ROUNDS = 0.7, 30
+"""Factor of heights that are too large, and how often: down to 2e-5 of the first."""
 #: Corners of a quadrilateral around it, in the order of the reference cell's vertices (0,0), (0,1), (1,0), (1,1).
 _AROUND = np.array([0, 2, 3, 1])
 

@@ -54,6 +54,7 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 ZERO = 1e-13
+"""Entry of a row, of size one at most but for a few, below which it is rounding."""
 DEPENDENT = 1e-6
 """Diagonal of QR, relative to the first, below which a function beside the curves is a combination of others."""
 FAINT = 3e-5

@@ -44,6 +44,7 @@ DEGREE = 3
 OTHERS = np.array([(1, 2), (2, 0), (0, 1)])
 """The corners j, k that follow corner i."""
 _TOWARDS = 1e-6
+"""Share of the way to another point by which a point moves to choose the knot interval beside it."""
 _ON = 1e-9
 """Share of a step within which a knot counts as at its end."""
 _CUBIC = bernstein(TRIANGLE, DEGREE)
