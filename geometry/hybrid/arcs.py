@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.hybrid.conics import in_quadratics
+from geometry.hybrid.curves import cubic_functions
 from geometry.hybrid.hbrep import DEGREE
 from geometry.knots import apply, elevation
 from geometry.patch import Patch
@@ -90,8 +91,7 @@ def _cubic(theta: Array) -> Array:
 
 def radial_error(theta: Array) -> Array:
     """Largest distance of the cubic from the arc of the unit circle, at samples."""
-    t = np.linspace(0.0, 1.0, 65)
-    B = np.stack([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], axis=1)
+    B = cubic_functions(np.linspace(0.0, 1.0, 65))
     return np.asarray(np.abs(np.linalg.norm(B @ _cubic(theta), axis=-1) - 1.0).max(axis=-1))
 
 
@@ -128,8 +128,7 @@ def from_cubic(arcs: Arcs, x: Array) -> Array:
     theta = 2.0 * half / arcs.count
     piece = np.clip(np.floor(t * arcs.count), 0, arcs.count - 1)
     s = t * arcs.count - piece
-    B = np.stack([(1 - s) ** 3, 3 * s * (1 - s) ** 2, 3 * s**2 * (1 - s), s**3], axis=1)
-    p = np.einsum("qb,qbc->qc", B, _cubic(theta))
+    p = np.einsum("qb,qbc->qc", cubic_functions(s), _cubic(theta))
     angle = piece * theta + np.arctan2(p[:, 1], p[:, 0])
     even = 0.5 + 0.5 * np.tan(0.5 * (angle - half)) / np.tan(0.5 * half)
     own = even / (even + (1.0 - even) * arcs.balance[k])

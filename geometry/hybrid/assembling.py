@@ -18,8 +18,6 @@ from geometry.hybrid.curves import fit_cubics
 from geometry.hybrid.facemesh import FaceMesh, interior_pairs
 from geometry.hybrid.fitting import (
     BICUBIC,
-    CUBIC,
-    INNER,
     INNER_QUAD,
     Fitted,
     bezier_nets,
@@ -28,6 +26,7 @@ from geometry.hybrid.fitting import (
 )
 from geometry.hybrid.pieces import Pieces
 from geometry.hybrid.poles import AROUND, corners_of
+from geometry.hybrid.triangle import CUBIC, INNER
 from iga.bernstein import Bernstein
 from iga.block import Block
 from iga.domain import Space

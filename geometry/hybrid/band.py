@@ -25,6 +25,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.hybrid.curves import bezier_points
 from geometry.hybrid.triangle import certified, make_phi, right_corner, triangle_map
 from geometry.hybrid.trimming import FLAT, Trimming, solve_monotone, split_segments, xi_at
 from iga.errors import InputError
@@ -384,9 +385,7 @@ def _meet(band: Band, boxes: Array, n: int, a: int, b: int, inside: Array) -> bo
 
 def _behind(band: Band, boxes: Array) -> set[int]:
     """Segments of triangles whose box holds a part of another curve: what lies behind must not be met."""
-    s = np.linspace(0.0, 1.0, 9)
-    B = np.stack([(1 - s) ** 3, 3 * s * (1 - s) ** 2, 3 * s**2 * (1 - s), s**3], axis=1)
-    curves = np.einsum("kj,sjc->skc", B, band.trimming.plane)
+    curves = bezier_points(band.trimming.plane, np.linspace(0.0, 1.0, 9))
     bad: set[int] = set()
     for segment, (low, high) in zip(band.segment.tolist(), boxes):
         tiny = 1e-7 * (high - low)

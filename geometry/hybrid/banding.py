@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from geometry.hybrid.band import reach_of, right_angles, tangent
 from geometry.hybrid.chart import Chart, lengths_of, narrows, to_chart
+from geometry.hybrid.curves import cubic_functions
 from geometry.hybrid.triangle import certified, make_phi, right_corner, triangle_map
 
 Array = NDArray[np.float64]
@@ -53,7 +54,7 @@ AT_END = 1e-3
 """Share of a side by which it may reach over another and yet not cross it: neighbours share their ends."""
 STRAIGHT = 1e-7
 """Extent, relative to the face, below which a piece follows a parameter line."""
-_T = np.linspace(0.0, 1.0, 9)
+_ON_PIECE = cubic_functions(np.linspace(0.0, 1.0, 9))
 _PROBES = np.array([(i / 7, j / 7) for i in range(8) for j in range(8 - i)])
 _PROBES = (1.0 - 6e-3) * _PROBES + 2e-3
 _SQUARE = np.stack(np.meshgrid(*[np.linspace(2e-3, 1.0 - 2e-3, 6)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -180,8 +181,8 @@ def _touching(plane: Array, q0: Array) -> Mask:
 
 
 def _curve(control: Array) -> Array:
-    B = np.stack([(1 - _T) ** 3, 3 * _T * (1 - _T) ** 2, 3 * _T**2 * (1 - _T), _T**3], axis=1)
-    return np.asarray(B @ control)
+    """Points (9, 2) on a piece."""
+    return np.asarray(_ON_PIECE @ control)
 
 
 def _monotone(plane: Array) -> Mask:

@@ -39,10 +39,11 @@ def tangents(points: CurvePoints, s: Array) -> Array:
 
 def bezier_points(control: Array, t: Array) -> Array:
     """Points (m, k, c) of cubic pieces (m, 4, c) at parameters (k,)."""
-    return np.einsum("kj,mjc->mkc", _cubic(t), control)
+    return np.einsum("kj,mjc->mkc", cubic_functions(t), control)
 
 
-def _cubic(t: Array) -> Array:
+def cubic_functions(t: Array) -> Array:
+    """Cubic Bernstein functions (k, 4) at parameters (k,)."""
     return np.stack([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], axis=1)
 
 
@@ -70,7 +71,7 @@ def fit_cubics(
     ends = both(np.repeat([[0.0, 1.0]], m, axis=0))[1]
     d0, d1 = ends[:, 0], ends[:, 1]
     lengths = np.full((m, 2), 1.0 / 3.0)
-    table = _cubic(t)
+    table = cubic_functions(t)
     s = np.repeat(t[None], m, axis=0)
     size = np.einsum("mc,mc->m", end - start, end - start) + 1e-300
     distance = np.zeros(m)
@@ -106,7 +107,7 @@ def _lifted(control: Array, both: CurveFrames, normals: CurvePoints, s: Array, t
     distances at samples (k,) with feet (m, k): tangents at the ends need not be the curve's, because elements meet with
     C0 only, and a piece across knot lines of the surface comes several times nearer.
     """
-    table = _cubic(t)
+    table = cubic_functions(t)
     n = normals(np.concatenate([s, np.repeat([[1.0 / 3.0, 2.0 / 3.0]], len(s), axis=0)], axis=1))
     n, inner = n[:, :-2], n[:, -2:]
     for turn in range(3):

@@ -16,7 +16,7 @@ from geometry.cad.brep import Face, surface_frame
 from geometry.hybrid.assembling import TURNED, Assembled
 from geometry.hybrid.chart import chart_steps, narrows, parameter_bends, parameter_steps, to_parameters
 from geometry.hybrid.facemesh import FaceMesh
-from geometry.hybrid.fitting import BICUBIC, CUBIC, INNER
+from geometry.hybrid.fitting import BICUBIC
 from geometry.hybrid.grid import ALONG
 from geometry.hybrid.hbrep import tensor_rows
 from geometry.hybrid.poles import REVERSED, PolarCells, inner_row, triangle_map
@@ -30,13 +30,13 @@ from geometry.hybrid.strip import (
     side_rows,
     vertex_rows,
 )
+from geometry.hybrid.triangle import CORNER, CUBIC, INNER
 from geometry.patch import Patch
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-_CORNER = np.array([int(np.flatnonzero(CUBIC.exponents[:, i] == 3)[0]) for i in range(3)])
 NEAR = np.array([
     [int(np.flatnonzero((CUBIC.exponents[:, i] == 2) & (CUBIC.exponents[:, j] == 1))[0]) for j in OTHERS[i]]
     for i in range(3)
@@ -86,7 +86,7 @@ def face_rows(
             whole, everywhere = meeting_rows(knots, spots[across])
             for i in range(3):
                 own, functions = vertex_rows(knots, uv[:, i], middle)
-                add(dofs[:, _CORNER[i]], functions, own)
+                add(dofs[:, CORNER[i]], functions, own)
                 for k, j in enumerate(OTHERS[i].tolist()):
                     cut = crossing(knots, uv[:, [i, j]])
                     mine = cut[across]
@@ -153,7 +153,7 @@ def _steps(
             along = np.isin(np.sort(corners[:, [i, j]], axis=1) @ np.array([size, 1]), beside)
             steps[along, i, k] = (uv[along, j] - uv[along, i]) / 3.0
             curve = np.isin(np.sort(vertices[:, [i, j]], axis=1) @ np.array([made.vertices, 1]), pairs)
-            way = control[curve, NEAR[i, k]] - control[curve, _CORNER[i]]
+            way = control[curve, NEAR[i, k]] - control[curve, CORNER[i]]
             own = J[curve, i]
             metric = np.einsum("tcd,tce->tde", own, own)
             steps[curve, i, k] = np.linalg.solve(metric, np.einsum("tcd,tc->td", own, way)[..., None])[..., 0]
@@ -164,6 +164,6 @@ def _steps(
         inwards[:, i] = parameter_steps(mesh.chart, q[:, i], inner - q[:, i])
         inwards[:, i] += 1.5 * parameter_bends(mesh.chart, q[:, i], ways[:, i, 0], ways[:, i, 1])
     phi = np.zeros((len(q), 10, 2))
-    phi[:, _CORNER], phi[:, NEAR], phi[:, INNER] = q, q[:, :, None] + ways, inner
+    phi[:, CORNER], phi[:, NEAR], phi[:, INNER] = q, q[:, :, None] + ways, inner
     spots = CUBIC.tabulate(DOMAIN_POINTS, 0)[0] @ phi
     return uv, steps, inwards, to_parameters(mesh.chart, spots.reshape(-1, 2)).reshape(spots.shape)

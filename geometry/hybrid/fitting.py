@@ -18,16 +18,15 @@ from geometry.cad.brep import Face, surface_frame
 from geometry.hybrid.bound import FEET, distance_bound
 from geometry.hybrid.chart import Chart, to_parameters
 from geometry.hybrid.hbrep import polynomial_surface, tensor_rows
+from geometry.hybrid.triangle import CUBIC, INNER
 from iga.bernstein import Bernstein, bernstein
-from iga.cells import QUADRILATERAL, TRIANGLE
+from iga.cells import QUADRILATERAL
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-CUBIC = bernstein(TRIANGLE, 3)
 BICUBIC = bernstein(QUADRILATERAL, 3)
-INNER = int(np.flatnonzero((CUBIC.exponents == 1).all(axis=1))[0])
 INNER_QUAD = np.array([5, 6, 9, 10])
 FREE = 0.0002
 STIFF = 0.03

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.cad.brep import Brep
-from geometry.hybrid.fitting import CUBIC, INNER
+from geometry.hybrid.triangle import CUBIC, INNER
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -43,8 +43,9 @@ from geometry.hybrid.assembling import SIDES, TURNED, Assembled, Part
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.face_rows import NEAR, face_rows
 from geometry.hybrid.facemesh import FaceMesh
-from geometry.hybrid.fitting import BICUBIC, CUBIC, INNER, fit_triangles, measure_quads, measure_triangles
+from geometry.hybrid.fitting import BICUBIC, fit_triangles, measure_quads, measure_triangles
 from geometry.hybrid.splining import Splined, on_lines
+from geometry.hybrid.triangle import CUBIC, INNER
 from geometry.patch import Patch
 from iga.block import Block
 from iga.domain import Space

@@ -32,24 +32,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.hybrid.hbrep import DEGREE
+from geometry.hybrid.triangle import CUBIC
 from geometry.knots import blossom, find_spans
-from iga.bernstein import bernstein, greville, lagrange_to_bernstein
-from iga.cells import TRIANGLE
+from iga.bernstein import greville, lagrange_to_bernstein
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-DEGREE = 3
 OTHERS = np.array([(1, 2), (2, 0), (0, 1)])
 """The corners j, k that follow corner i."""
 _TOWARDS = 1e-6
 """Share of the way to another point by which a point moves to choose the knot interval beside it."""
 _ON = 1e-9
 """Share of a step within which a knot counts as at its end."""
-_CUBIC = bernstein(TRIANGLE, DEGREE)
-DOMAIN_POINTS = greville(_CUBIC)
-_MEETING = lagrange_to_bernstein(_CUBIC, DOMAIN_POINTS)
+DOMAIN_POINTS = greville(CUBIC)
+_MEETING = lagrange_to_bernstein(CUBIC, DOMAIN_POINTS)
 _MEETING[np.abs(_MEETING) < 1e-12] = 0.0
 
 

@@ -41,6 +41,8 @@ IJ = CUBIC.exponents[:, 1:]
 """Exponents (10, 2) of a and b of each function."""
 _ROWS = [tuple(row) for row in IJ.tolist()]
 INNER = _ROWS.index((1, 1))
+CORNER = np.array([_ROWS.index(ij) for ij in ((0, 0), (3, 0), (0, 3))])
+"""Functions of the three corners."""
 CURVE = np.array([_ROWS.index((3 - k, k)) for k in range(4)])
 """Functions of the trimming edge from pa to pb."""
 
@@ -89,14 +91,10 @@ def certified(phi: Array) -> NDArray[np.bool_]:
 
     At pa and pb it may vanish: it does where the curve leaves along a leg, as a hole's does where it turns around.
     """
-    legs = phi[:, _corner(1)] - phi[:, _corner(0)], phi[:, _corner(2)] - phi[:, _corner(0)]
+    legs = phi[:, CORNER[1]] - phi[:, CORNER[0]], phi[:, CORNER[2]] - phi[:, CORNER[0]]
     area = legs[0][:, 0] * legs[1][:, 1] - legs[0][:, 1] * legs[1][:, 0]
     det = jacobian_coefficients(phi) / np.where(area == 0.0, np.inf, area)[:, None]
     return np.asarray((det.min(axis=1) > -1e-9) & (det.max(axis=1) > 0.0))
-
-
-def _corner(v: int) -> int:
-    return int(np.flatnonzero(CUBIC.exponents[:, v] == 3)[0])
 
 
 def selection(phi: Array | None = None, kind: Psi = "selection") -> Array:
@@ -117,8 +115,8 @@ def selection(phi: Array | None = None, kind: Psi = "selection") -> Array:
     if phi is None:
         raise ValueError("the correction depends on phi")
     made = np.repeat(S[None], len(phi), axis=0)
-    legs = np.stack([phi[:, _corner(1)] - phi[:, _corner(0)], phi[:, _corner(2)] - phi[:, _corner(0)]], axis=1)
-    straight = phi[:, _corner(0)] + (legs[:, 0] + legs[:, 1]) / 3.0
+    legs = np.stack([phi[:, CORNER[1]] - phi[:, CORNER[0]], phi[:, CORNER[2]] - phi[:, CORNER[0]]], axis=1)
+    straight = phi[:, CORNER[0]] + (legs[:, 0] + legs[:, 1]) / 3.0
     displaced = phi[:, INNER] - straight
     kx, ky = displaced[:, 0] / legs[:, 0, 0], displaced[:, 1] / legs[:, 1, 1]
     made[:, 4, INNER] += 3.0 * kx
@@ -134,7 +132,7 @@ def triangle_map(control: Array, ab: Array) -> Array:
 
 def invert_phi(phi: Array, points: Array, rounds: int = 30) -> Array:
     """(a, b) (q, 2) of points (q, 2) in triangles (q, 10, 2), each its own, by Newton from the straight triangle."""
-    o, pa, pb = (phi[:, _corner(v)] for v in range(3))
+    o, pa, pb = (phi[:, v] for v in CORNER)
     M = np.stack([pa - o, pb - o], axis=-1)
     ab = np.linalg.solve(M, (points - o)[..., None])[..., 0]
     ab = np.clip(ab, 0.0, 1.0)

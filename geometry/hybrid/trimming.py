@@ -19,6 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from geometry.cad.brep import Coedge, Face, curve_points, curve_tangents, surface_frame, surface_points
+from geometry.hybrid.curves import bezier_points
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
@@ -149,8 +150,7 @@ def _lift_slopes(face: Face, c: Coedge, t: Array) -> Array:
 def _apart(control: Array, points: Callable[[Array], Array]) -> float:
     m = len(control)
     s = np.linspace(0.0, 1.0, 7)[1:-1]
-    B = np.stack([(1 - s) ** 3, 3 * s * (1 - s) ** 2, 3 * s**2 * (1 - s), s**3], axis=1)
-    mine = np.einsum("sk,mkc->msc", B, control)
+    mine = bezier_points(control, s)
     theirs = points(((np.arange(m)[:, None] + s) / m).ravel()).reshape(mine.shape)
     return float(np.linalg.norm(mine - theirs, axis=-1).max())
 

@@ -15,11 +15,11 @@ pytest.importorskip("OCP")
 from geometry.cad.brep import Brep, surface_points
 from geometry.cad.reading import brep_of
 from geometry.hybrid import shapes
-from geometry.hybrid.fitting import CUBIC, INNER
 from geometry.hybrid.poles import Pole, inner_row, net_points, poles_of, rows, triangle_map
 from geometry.hybrid.settings import Settings
 from geometry.hybrid.skin import Skin, build_skin
 from geometry.hybrid.source import domain_of
+from geometry.hybrid.triangle import CUBIC, INNER
 from iga.bernstein import bernstein
 from iga.block import bezier_coefficients
 from iga.cells import QUADRILATERAL, TRIANGLE

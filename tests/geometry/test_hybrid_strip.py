@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from geometry.cad.brep import surface_points
 from geometry.hybrid import shapes
 from geometry.hybrid.chart import chart_steps, make_chart, parameter_bends, parameter_steps, to_chart, to_parameters
-from geometry.hybrid.fitting import CUBIC
 from geometry.hybrid.strip import (
     DOMAIN_POINTS,
     OTHERS,
@@ -23,6 +22,7 @@ from geometry.hybrid.strip import (
     side_rows,
     vertex_rows,
 )
+from geometry.hybrid.triangle import CUBIC
 from geometry.knots import evaluation
 from geometry.patch import Patch
 
