@@ -171,9 +171,11 @@ def test_elements_of_a_round_hole() -> None:
 
 def test_curves_that_come_close_leave_triangles_out() -> None:
     chart = make_chart(solid("curved_box").faces[0])
-    plane, following = disc(radius=0.49, pieces=16)
+    plane, following = disc(radius=0.49, pieces=24)
     lines = (np.array([0.0, 1.0]), np.array([0.0, 1.0]))
     found = band_elements(plane, following, lines, np.zeros((0, 2, 2)), chart)
+    assert found.without == {"flat": 4, "tangent": 8, "meeting": 8}
+    assert len(found.low) == 4
     for low, high in zip(found.low, found.high):
         assert (low >= -1e-12).all()
         assert (high <= 1.0 + 1e-12).all()

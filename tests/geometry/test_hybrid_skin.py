@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from geometry.cad.brep import Brep, curve_points, surface_points
+from geometry.cad.integrals import integrals_of
 from geometry.hybrid import read_cad, shapes
 from geometry.hybrid.chart import line_frames, line_points, make_chart, to_chart, to_parameters
 from geometry.hybrid.curves import bezier_points, fit_cubics
@@ -171,16 +172,20 @@ def test_thin_crossings_are_found() -> None:
     assert len(crossing_pairs(x, np.array([(0, 1, 2), (3, 4, 5)]))) == 1
 
 
-@pytest.mark.parametrize(("name", "share"), [("bracket", 0.7), ("curved_difference", -1.0)])
-def test_skins_are_watertight_and_near(name: str, share: float) -> None:
+@pytest.mark.parametrize("name", ["bracket", "curved_difference"])
+def test_skins_are_watertight_and_near(name: str) -> None:
     skin, brep = skin_of(name), solid(name)
+    areas = integrals_of(brep).area
+    plane = np.array([face.kind == "plane" for face in brep.faces])
+    share = areas[plane].sum() / areas.sum()
+    assert (share > 0.7) == (name == "bracket")
     report = skin.report
     assert report["watertight_gap"] < 1e-12
     assert report["crossings"] == 0
     assert report["folded"] == 0
     assert report["max_distance"] < 2e-5
     assert report["volume_error"] < 2e-6
-    assert report["exact_area_share"] > share
+    assert report["exact_area_share"] > share - 2e-5  # outlines of plane faces are met to the tolerance
     assert report["min_quality"] > 0.3
     (block,) = skin.space.blocks
     triangles = block.dofs[:, [0, 6, 9]]
