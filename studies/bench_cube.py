@@ -26,7 +26,7 @@ from iga.errors import InputError
 from iga.frame import specialised
 from iga.integrands import Diffusion, Elasticity, Load, isotropic
 from iga.linear.fast_diagonalisation import fast_diagonalisation
-from iga.linear.solvers import conjugate_gradients
+from iga.linear.krylov import conjugate_gradients
 from iga.norms import errors
 from iga.operator import operator
 from iga.parallel import limited

@@ -29,7 +29,15 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What is known of the unknowns: components c, points (n, 3) or None, coarse prolongation (n, v) or None."""
+    """What is known of the unknowns.
+
+    Attributes
+    ----------
+    components : c, unknowns of each function.
+    points : (n, 3) control points of the functions, or None.
+    domain : whose functions they are, or None.
+    rows : (n,) functions of the domain that are the free coefficients of a constrained space; None for all.
+    """
 
     components: int = 1
     points: Array | None = None

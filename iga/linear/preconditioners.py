@@ -72,8 +72,8 @@ class Level:
     inverse: Single
     starts: Index
     scale: Array
-    down: csr_array | None
-    up: csr_array | None
+    down: csr_array
+    up: csr_array
 
 
 def two_level(K: csr_array, coarse: CoarseSpace, elements: Sequence[Index]) -> Preconditioner:
@@ -130,9 +130,9 @@ def aggregation(K: csr_array, modes: Array, block: int = 1) -> Preconditioner:
     _positive_diagonal(K)
     if K.shape[0] <= TINY:
         return Preconditioner("factorization", factorize(K, symmetric=True).fast)
-    hierarchy = _aggregate(K, modes, block)
-    levels = [_level(fine, P, block if depth == 0 else 1) for depth, (fine, P) in enumerate(hierarchy[:-1])]
-    coarse = factorize(hierarchy[-1][0], symmetric=True).fast
+    matrices, prolongations = _aggregate(K, modes, block)
+    levels = [_level(A, P, block if depth == 0 else 1) for depth, (A, P) in enumerate(zip(matrices, prolongations))]
+    coarse = factorize(matrices[-1], symmetric=True).fast
     return Preconditioner("smoothed aggregation", lambda r: _cycle(levels, 0, r, coarse))
 
 
@@ -144,20 +144,19 @@ def _cheap(K: csr_array) -> bool:
     return cost is not None and cost.operations <= COARSE
 
 
-def _aggregate(K: csr_array, modes: Array, block: int) -> list[tuple[csr_array, csr_array | None]]:
-    """Matrices and prolongations of smoothed aggregation, finest first."""
+def _aggregate(K: csr_array, modes: Array, block: int) -> tuple[list[csr_array], list[csr_array]]:
+    """Matrices of smoothed aggregation, finest first, and the prolongations between them."""
     A = csr_matrix(K)
     if block > 1 and A.shape[0] % block == 0:
         A = A.tobsr((block, block))
     hierarchy = pyamg.smoothed_aggregation_solver(
         A, B=modes, max_coarse=min(8000, A.shape[0] // 4), improve_candidates=None, presmoother=None, postsmoother=None,
     )
-    made: list[tuple[csr_array, csr_array | None]] = []
-    for number, level in enumerate(hierarchy.levels):
-        fine = K if number == 0 else csr_array(level.A)
-        P = csr_array(level.P) if number + 1 < len(hierarchy.levels) else None
-        made.append((fine, P))
-    return made
+    matrices = [K, *(csr_array(level.A) for level in hierarchy.levels[1:])]
+    # Where nothing is coupled any more there is nothing to aggregate: the next matrix is zero.
+    while not matrices[-1].count_nonzero():
+        matrices.pop()
+    return matrices, [csr_array(level.P) for level in hierarchy.levels[: len(matrices) - 1]]
 
 
 def _positive_diagonal(K: csr_array) -> Array:
@@ -168,7 +167,8 @@ def _positive_diagonal(K: csr_array) -> Array:
     return np.asarray(d, dtype=float)
 
 
-def _level(K: csr_array, W: csr_array | None, block: int) -> Level:
+def _level(K: csr_array, W: csr_array, block: int) -> Level:
+    """The level of a matrix K (n, n) with the prolongation W (n, m) from the next coarser one."""
     scale = 1.0 / np.sqrt(_positive_diagonal(K))
     K = csr_array(K)
     K.sort_indices()
@@ -194,36 +194,28 @@ def _level(K: csr_array, W: csr_array | None, block: int) -> Level:
         lowest = np.linalg.eigvalsh(diagonal)[:, 0]
         extra = np.maximum(0.0, 0.5 * (outside.reshape(n, block) - 0.9 * np.maximum(lowest, 0.0)[:, None]))
         inverse = np.linalg.inv(diagonal + extra[:, :, None] * np.eye(block))
-    down = up = None
-    if W is not None:
-        lifted = csr_array(csr_array(W).multiply((1.0 / scale)[:, None]))
-        up = csr_array(lifted, dtype=np.float32)
-        down = csr_array(lifted.T.tocsr(), dtype=np.float32)
+    lifted = csr_array(W.multiply((1.0 / scale)[:, None]))
+    up, down = csr_array(lifted, dtype=np.float32), csr_array(lifted.T.tocsr(), dtype=np.float32)
     return Level(pointers.astype(np.int32), columns.astype(np.int32), values.astype(np.float32),
                  inverse.astype(np.float32), starts, scale, down, up)
 
 
-def _cycle(levels: list[Level], depth: int, r: Array, coarse: Callable[[Array], Array] | None) -> Array:
-    """One symmetric V-cycle for a residual in double precision."""
+def _cycle(levels: list[Level], depth: int, r: Array, coarse: Callable[[Array], Array]) -> Array:
+    """One symmetric V-cycle for a residual in double precision; below the last level the solution ``coarse``."""
+    if depth == len(levels):
+        return coarse(r)
     level = levels[depth]
-    size = float(np.abs(r).max(initial=0.0))
+    scaled = level.scale * r
+    size = float(np.abs(scaled).max(initial=0.0))
     if size == 0.0:
         return np.zeros_like(r)
-    scaled = level.scale * r
-    size = float(np.abs(scaled).max())
     b = (scaled / size).astype(np.float32)
     x = _sweep(level, b, forward=True)
     b -= _product(level, x)
-    if level.down is not None and level.up is not None:
-        rest = product(level.down, b).astype(float)
-        if depth + 1 < len(levels):
-            correction = _cycle(levels, depth + 1, rest, coarse)
-        else:
-            assert coarse is not None
-            correction = coarse(rest)
-        step = product(level.up, correction.astype(np.float32))
-        x += step
-        b -= _product(level, step)
+    correction = _cycle(levels, depth + 1, product(level.down, b).astype(float), coarse)
+    step = product(level.up, correction.astype(np.float32))
+    x += step
+    b -= _product(level, step)
     x += _sweep(level, b, forward=False)
     return level.scale * x * size
 

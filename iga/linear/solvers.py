@@ -21,14 +21,12 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from iga.domain import Domain
 from iga.errors import InputError
-from iga.linear.factorization import Factor, checked, estimate, factorize
+from iga.linear.factorization import checked, estimate, factorize
 from iga.linear.krylov import Progress, conjugate_gradients
 from iga.linear.layout import Layout, coarse_space, layout_of
 from iga.linear.preconditioners import Preconditioner, aggregation, two_level
 from iga.linear.products import absolute_product, product
 from iga.linear.supports import require_held
-
-__all__ = ["Factor", "SolveLog", "conjugate_gradients", "factorize", "solve"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

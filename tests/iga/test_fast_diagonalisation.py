@@ -11,7 +11,7 @@ from iga.domain import Domain
 from iga.errors import InputError
 from iga.integrands import Diffusion, Elasticity, Mass, isotropic
 from iga.linear.fast_diagonalisation import fast_diagonalisation, grid
-from iga.linear.solvers import conjugate_gradients
+from iga.linear.krylov import conjugate_gradients
 from tests.iga.test_assembly import curved, shuffled, weighted
 from tests.splines import cube
 

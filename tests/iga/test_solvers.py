@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
+from scipy.sparse import block_diag, csr_array
 from scipy.sparse.linalg import LinearOperator
 
 from iga.assembly import matrix, vector
@@ -19,7 +19,8 @@ from iga.integrands import Diffusion, Elasticity, Load, Mass, isotropic
 from iga.linear import factorization
 from iga.linear.aggregates import aggregated, aggregates
 from iga.linear.coarse_space import linear_prolongation, rigid_motions
-from iga.linear.solvers import factorize, solve
+from iga.linear.factorization import factorize
+from iga.linear.solvers import solve
 from iga.norms import errors
 from tests.meshes import bend, box_complex, mixed_complex
 from tests.splines import cube
@@ -257,6 +258,16 @@ def test_round_off_is_not_mistaken_for_failure() -> None:
         u, log = solve(K, vector(domain, Load(1.0)), fixed, domain=domain, solver=solver)
         assert np.isfinite(u).all()
         assert log.residual < 1e-6
+
+
+@pytest.mark.parametrize("pair", [[[2.0]], [[2.0, -1.0], [-1.0, 2.0]]])
+def test_unknowns_that_are_hardly_coupled_are_solved(pair: list[list[float]]) -> None:
+    """Nothing is left to aggregate: the next coarser matrix would be zero."""
+    K = csr_array(block_diag([np.array(pair)] * 400))
+    f = np.random.default_rng(61).normal(size=K.shape[0])
+    u, log = solve(K, f, solver="cg")
+    assert log.preconditioner == "smoothed aggregation"
+    assert np.abs(K @ u - f).max() < 1e-11
 
 
 def test_bad_input_is_named() -> None:
