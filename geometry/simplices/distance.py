@@ -66,14 +66,22 @@ def samples(points: Array, triangles: Index, step: float) -> Array:
     needles = NEEDLE * (rows + 1) < parts
     result = [points[np.unique(triangles)]]
     for n in np.unique(parts[~needles]):
-        i, j = (x.ravel() for x in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
-        keep = (i + j <= n) & (i < n) & (j < n) & (i + j > 0)
-        weights = np.stack([i, j, n - i - j], axis=1)[keep] / n
-        result.append((weights @ corners[~needles & (parts == n)]).reshape(-1, 3))
+        result.append((_lattice(n) @ corners[~needles & (parts == n)]).reshape(-1, 3))
     first = lengths.argmax(axis=1)
     turned = corners[np.arange(len(corners))[:, None], (first[:, None] + np.arange(3)) % 3]
     for n, m in np.unique(np.stack([parts, rows], axis=1)[needles], axis=0):
-        along, up = (x.ravel() for x in np.meshgrid(np.arange(n + 1) / n, np.arange(m) / m, indexing="ij"))
-        weights = np.stack([(1.0 - along) * (1.0 - up), along * (1.0 - up), up], axis=1)
-        result.append((weights @ turned[needles & (parts == n) & (rows == m)]).reshape(-1, 3))
+        result.append((_rows(n, m) @ turned[needles & (parts == n) & (rows == m)]).reshape(-1, 3))
     return np.concatenate(result)
+
+
+def _lattice(n: int) -> Array:
+    """Barycentric coordinates (q, 3) of a triangle's points that cut its sides into n equal parts, but its corners."""
+    i, j = (x.ravel() for x in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
+    keep = (i + j <= n) & (i < n) & (j < n) & (i + j > 0)
+    return np.asarray(np.stack([i, j, n - i - j], axis=1)[keep] / n)
+
+
+def _rows(n: int, m: int) -> Array:
+    """Barycentric coordinates (q, 3) on m rows along a triangle's first side, of n parts each."""
+    along, up = (x.ravel() for x in np.meshgrid(np.arange(n + 1) / n, np.arange(m) / m, indexing="ij"))
+    return np.stack([(1.0 - along) * (1.0 - up), along * (1.0 - up), up], axis=1)

@@ -11,6 +11,7 @@ surface, and the holes are filled.
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -36,8 +37,41 @@ ROUNDS = 4
 """How often crossing triangles are taken away: the filling may cross something too."""
 
 
-def mended(points: Array, triangles: Index) -> tuple[Array, Index, dict[str, Any]]:
-    """Points (v, 3), triangles (t, 3) of the mended surface and a report, ``mended``: what was done, and how often.
+@dataclass(frozen=True)
+class Filling:
+    """Holes that were filled, edges around them, triangles added and their area, and holes that were left open."""
+
+    filled_holes: int
+    edges_around_them: int
+    added_triangles: int
+    added_area: float
+    holes_left_open: int
+
+
+@dataclass(frozen=True)
+class Mending:
+    """What was done to a surface.
+
+    Attributes
+    ----------
+    merged_vertices, removed_triangles : doubled or unused vertices, and triangles without area or doubled.
+    filling : of the holes that it had.
+    removed_crossing_triangles : with those around them; the holes that they left are filled.
+    """
+
+    merged_vertices: int
+    removed_triangles: int
+    filling: Filling
+    removed_crossing_triangles: int = 0
+
+    def report(self) -> dict[str, float]:
+        """The numbers by name, but for those that are zero."""
+        every = asdict(self)
+        return {name: number for name, number in (every.pop("filling") | every).items() if number}
+
+
+def mended(points: Array, triangles: Index) -> tuple[Array, Index, Mending]:
+    """Points (v, 3) and triangles (t, 3) of the mended surface, and what was done.
 
     Parameters
     ----------
@@ -58,30 +92,27 @@ def mended(points: Array, triangles: Index) -> tuple[Array, Index, dict[str, Any
     clean = _triangles_only(mesh)
     if not clean.n_faces:
         raise InputError("nothing is left of the surface after mending")
-    done = {
-        "merged_vertices": max(len(np.unique(triangles)) - clean.n_points, 0),
-        "removed_triangles": len(triangles) - clean.n_faces,
-    }
     alike = _oriented(clean, outwards=False)
     places = np.asarray(alike.points, dtype=float)
-    closed, found = _filled(places, np.asarray(alike.regular_faces, dtype=np.int64), LARGEST_HOLE * diagonal)
+    closed, filling = _filled(places, np.asarray(alike.regular_faces, dtype=np.int64), LARGEST_HOLE * diagonal)
     whole = _oriented(pyvista.PolyData.from_regular_faces(places, closed.astype(int)), outwards=True)
     whole = _triangles_only(whole)
     table = np.asarray(whole.regular_faces, dtype=np.int64)
-    crossing: dict[str, Any] = {}
-    if not found["holes_left_open"]:
+    crossing = 0
+    if not filling.holes_left_open:
         table, crossing = _uncrossed(np.asarray(whole.points, dtype=float), table)
-    report = {"mended": {what: count for what, count in (done | found | crossing).items() if count}}
-    return np.asarray(whole.points, dtype=float), table, report
+    merged = max(len(np.unique(triangles)) - clean.n_points, 0)
+    done = Mending(merged, len(triangles) - clean.n_faces, filling, crossing)
+    return np.asarray(whole.points, dtype=float), table, done
 
 
-def _uncrossed(points: Array, triangles: Index) -> tuple[Index, dict[str, Any]]:
-    """Triangles without those that cross, holes filled, and what was done; as they are where that does not succeed."""
+def _uncrossed(points: Array, triangles: Index) -> tuple[Index, int]:
+    """Triangles without those that cross, holes filled, and how many; as they are where that does not succeed."""
     table, removed = triangles, 0
     for _ in range(ROUNDS):
         pairs = crossing_pairs(points, table)
         if not len(pairs):
-            return table, {"removed_crossing_triangles": removed}
+            return table, removed
         near = np.zeros(len(points), dtype=bool)
         near[table[pairs.ravel()]] = True
         kept = table[~near[table].any(axis=1)]
@@ -94,14 +125,14 @@ def _uncrossed(points: Array, triangles: Index) -> tuple[Index, dict[str, Any]]:
             break
         kept = kept[main]
         removed += len(table) - len(kept)
-        table, report = _filled(points, kept, np.inf)
-        if report["holes_left_open"] or report["added_area"] > MOST_CROSSING * _area(points, table):
+        table, filling = _filled(points, kept, np.inf)
+        if filling.holes_left_open or filling.added_area > MOST_CROSSING * _area(points, table):
             break
-    return triangles, {}
+    return triangles, 0
 
 
-def _filled(points: Array, triangles: Index, radius: float) -> tuple[Index, dict[str, Any]]:
-    """Triangles with holes up to a radius filled, and how many, of how many edges, with what, and what stays open."""
+def _filled(points: Array, triangles: Index, radius: float) -> tuple[Index, Filling]:
+    """Triangles with holes up to a radius filled, and what was done."""
     found, count, edges = holes(points, triangles), 0, 0
     rim = np.zeros(len(points), dtype=bool)
     for hole in found:
@@ -117,10 +148,7 @@ def _filled(points: Array, triangles: Index, radius: float) -> tuple[Index, dict
         if made is not None:
             new = np.concatenate([new, made])
             count, edges = count + 1, edges + len(around)
-    return np.concatenate([triangles, new]), {
-        "filled_holes": count, "edges_around_them": edges, "added_triangles": len(new),
-        "added_area": _area(points, new), "holes_left_open": len(found) - count,
-    }
+    return np.concatenate([triangles, new]), Filling(count, edges, len(new), _area(points, new), len(found) - count)
 
 
 def _area(points: Array, triangles: Index) -> float:

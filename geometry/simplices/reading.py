@@ -12,6 +12,7 @@ Axis letters: v vertex, t triangle.
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +96,7 @@ def read_surface(
             points, triangles = _equal_points(points, triangles)
         if mend:
             points, triangles, done = mended(points, triangles)
-            report |= done
+            report["mended"] = done.report()
         if mend or separate:
             points, triangles = _split_fans(points, triangles)
         surface, found = checked_surface(points, triangles, crossings)
@@ -168,24 +169,32 @@ def _load(path: Path) -> meshio.Mesh:
 
 def _read_off(path: Path) -> meshio.Mesh:
     """Mesh of an OFF file; meshio never ends on short ones and knows triangles only."""
-    lines = [line.split("#")[0].split() for line in path.read_text(encoding="ascii").splitlines()]
-    lines = [line for line in lines if line]
-    if not lines or lines[0][0] != "OFF":
+    lines = [line for raw in path.read_text(encoding="ascii").splitlines() if (line := raw.split("#")[0].strip())]
+    if not lines or lines[0].split()[0] != "OFF":
         raise ValueError("the first word is not OFF")
-    lines[0] = lines[0][1:]
+    lines[0] = lines[0][3:].strip()
     lines = lines[0 if lines[0] else 1 :]
-    count, faces = int(lines[0][0]), int(lines[0][1])
+    count, faces = (int(word) for word in lines[0].split()[:2])
     if min(count, faces) < 0 or len(lines) < 1 + count + faces:
         raise ValueError(f"{count} vertices and {faces} faces are announced, {len(lines) - 1} lines follow")
-    points = np.array([[float(word) for word in line[:3]] for line in lines[1 : 1 + count]]).reshape(-1, 3)
-    table: dict[int, list[list[int]]] = {3: [], 4: []}
-    for line in lines[1 + count : 1 + count + faces]:
-        size = int(line[0])
-        if size not in table or len(line) < 1 + size:
-            raise ValueError(f"a face has {size} vertices; triangles and quadrilaterals are taken")
-        table[size].append([int(word) for word in line[1 : 1 + size]])
-    kinds = {3: "triangle", 4: "quad"}
-    return meshio.Mesh(points, [(kinds[size], np.array(rows)) for size, rows in table.items() if rows])
+    points = _table(lines[1 : 1 + count], (0, 1, 2), float)
+    sides = lines[1 + count : 1 + count + faces]
+    sizes = _table(sides, (0,), int)[:, 0]
+    if (wrong := sizes[(sizes != 3) & (sizes != 4)]).size:
+        raise ValueError(f"a face has {wrong[0]} vertices; triangles and quadrilaterals are taken")
+    cells = []
+    for size, kind in ((3, "triangle"), (4, "quad")):
+        own = [sides[face] for face in np.flatnonzero(sizes == size)]
+        if own:
+            cells.append((kind, _table(own, range(1, 1 + size), int)))
+    return meshio.Mesh(points, cells)
+
+
+def _table(lines: list[str], columns: Sequence[int], kind: type) -> NDArray[Any]:
+    """Some of the columns of lines of numbers, (lines, columns)."""
+    if not lines:
+        return np.empty((0, len(columns)), dtype=kind)
+    return np.loadtxt(lines, dtype=kind, usecols=columns, ndmin=2)
 
 
 def _geometry_lines(path: Path) -> io.StringIO:

@@ -1,4 +1,4 @@
-"""Surface triangulations, the input of the meccano: what they must be, and what they enclose.
+"""Surface triangulations: what they must be to bound a solid, and what they enclose.
 
 A surface is taken only if it bounds one solid: every edge belongs to two triangles that run through it in opposite
 directions, the triangles around a vertex are one fan, there is one shell, no triangle is degenerate, the volume
