@@ -8,7 +8,6 @@ elevate)``: the sub-packages of `geometry`, and what other distributions registe
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
@@ -45,11 +44,8 @@ def sources() -> dict[str, Source]:
     """
     found: dict[str, Source] = {}
     for name in BUILT_IN:
-        if importlib.util.find_spec(f"geometry.{name}") is None:
-            continue
         module: Any = importlib.import_module(f"geometry.{name}")
-        if hasattr(module, "build"):
-            found[name] = module
+        found[name] = module
     for entry in entry_points(group=GROUP):
         if entry.name in found:
             continue

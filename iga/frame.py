@@ -39,7 +39,6 @@ PAIRS = tuple((s, t) for s in range(4) for t in range(s, 4))
 LITERAL = 5e8
 """Floating-point operations from which on kernels are compiled for the sizes at hand: about what compiling costs."""
 
-
 _specialise: ContextVar[bool] = ContextVar("specialise", default=False)
 
 
@@ -55,7 +54,7 @@ def specialised() -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Functions of a block at the points of a rule; make it with `frame`.
+    """Functions of a block at the points of a rule; `frames` makes those of a domain.
 
     Attributes
     ----------
@@ -177,7 +176,6 @@ def frames(domain: Domain, points: int | None = None, repeat: int = 1) -> list[F
     """Frames of all blocks of a domain at Gauss points, ``points`` per direction (`iga.chunk.default_points`)."""
     weights = domain.space.weights
     return [Frame(b, rule_for(domain, k, points), weights, repeat) for k, b in enumerate(domain.space.blocks)]
-
 
 
 def interpolate(f: Frame, lo: int, hi: int, coefficients: Array, out: Array | None = None) -> Array:

@@ -26,7 +26,7 @@ from iga.domain import Domain, homogeneous
 from iga.errors import InputError
 from iga.kernels.approach import approach
 from iga.kernels.boxes import LEAF, query
-from iga.kernels.inversion import FOUND, OPEN, invert
+from iga.kernels.inversion import FOUND, OPEN, TESTED, invert
 from iga.located import Located
 from iga.parallel import ranges, run
 
@@ -202,15 +202,15 @@ def _newton(
         targets = points[rows[some]]
         state = status[pairs[some]]
         barycentric, distance = np.empty((len(some), len(origin))), np.empty(len(some))
-        # The second attempt skips the test (OPEN survived it) and the first start.
-        state[:] = OPEN if attempt == 0 else OPEN + 2
+        # The second attempt skips the test (what is open survived it) and the first start.
+        state[:] = OPEN if attempt == 0 else TESTED
         chosen = starts[:1] if attempt == 0 else starts[1:]
         run([
             partial(invert, nets, which, targets, shape.exponents, shape.scale, origin, chosen, reach, a, b, state,
                     barycentric, distance)
             for a, b in ranges(len(some))
         ])
-        status[pairs[some]] = np.where(state > FOUND, OPEN, state)
+        status[pairs[some]] = np.where(state == TESTED, OPEN, state)
         hit = np.flatnonzero(state == FOUND)
         _store(domain, boxes, number, candidates[pairs[some[hit]]], rows[some[hit]], origin, barycentric[hit],
                distance[hit], found)

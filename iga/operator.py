@@ -42,6 +42,9 @@ from iga.parallel import ranges, run
 
 Array = NDArray[np.float64]
 
+PRODUCTS = 4
+"""Products with an operator that are worth compiling for, compared with assembling the matrix once."""
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -137,10 +140,6 @@ def operator(
         joined = stiffness[0] if kind != apply.ELASTICITY or constant(integrand) else np.concatenate(stiffness)
         parts.append(Part(f, kind, D, joined))
     return Operator(domain, integrand, points, c, tuple(parts))
-
-
-PRODUCTS = 4
-"""Products with an operator that are worth compiling for, compared with assembling the matrix once."""
 
 
 def _kind(integrand: Integrand, f: Frame) -> tuple[int, int]:

@@ -177,9 +177,7 @@ def unfold(
         points = points + task.moves @ step
         before, (invalid, worst) = len(invalid), invalid_elements(task, points, np.arange(task.elements), depth)
         if len(invalid) > _STAYING * before:
-            around = abs(task.moves) @ touching(task, mask_of(task, invalid)).astype(float)
-            soft = abs(tether.A) @ around > 0.0
-            tether = replace(tether, weights=np.where(soft, yielding, 1.0) * tether.weights)
+            tether = _softened(task, tether, invalid, yielding)
         history.append(Round(len(invalid), int(task.open.sum()), len(seen), least))
         shown.say(f"unfolding: {len(invalid)} elements not certified")
         if 0 < len(invalid) <= _FEW * task.elements:
@@ -188,9 +186,15 @@ def unfold(
                 size=size, patience=3, depth=depth, tether=tether, shown=shown,
             )
             if not len(alone.invalid):
-                points, invalid = alone.points, invalid[:0]
-                history += alone.history[1:]
+                points, invalid, history = alone.points, invalid[:0], [*history, *alone.history[1:]]
     return _result(replace(task, domain=domain), points, invalid, history)
+
+
+def _softened(task: Shaping, tether: Tether, invalid: Index, factor: float) -> Tether:
+    """Springs whose weights are less by a factor around elements (k,)."""
+    around = abs(task.moves) @ touching(task, mask_of(task, invalid)).astype(float)
+    soft = abs(tether.A) @ around > 0.0
+    return replace(tether, weights=np.where(soft, factor, 1.0) * tether.weights)
 
 
 def smooth(
@@ -210,9 +214,9 @@ def smooth(
     """Improve the shapes of all elements of a valid domain, which stays valid; parameters as in `untangle`.
 
     Each round descends with all free control points. Groups of elements whose samples stay above det S = 0.05 cannot
-    fold there; the others are regularised, and may, if they shall. Elements that are then not certified are untangled;
-    around those that resist, control points go back towards where they were, in halves, until all are certified.
-    Elements invalid at the start are left alone, with their surroundings.
+    fold there; the others are regularised, and may fold on the way (``folds``). Elements that are then not certified
+    are untangled; around those that resist, control points go back towards where they were, in halves, until all are
+    certified. Elements invalid at the start are left alone, with their surroundings.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ k n n^T (along the normal). A body whose supports leave rigid motions free is re
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -113,7 +113,7 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
         grip, pull = weakly(problem.displacement, domain, C, points)
         springs, f = grip if springs is None else springs + grip, f + pull
     if problem.normal_displacement:
-        sliding, right = slide(problem, domain, C, points)
+        sliding, right = weakly(problem.normal_displacement, domain, C, points, normal=True)
         springs, f = sliding if springs is None else springs + sliding, f + right
     require_supports(domain, fixed, springs)
     lean = _lean(domain, C, fixed, springs, solver)
@@ -166,7 +166,7 @@ def resolved(problem: Elasticity, domain: Domain) -> Elasticity:
     """Return the problem with patterns replaced by the names they match, or raise if conditions exclude each other."""
     displacement = resolve(domain, problem.displacement, "displacement")
     others = ("normal_displacement", "traction", "pressure", "support")
-    loads = {what: resolve(domain, getattr(problem, what), what.replace("_", " ")) for what in others}
+    loads: dict[str, Any] = {what: resolve(domain, getattr(problem, what), what.replace("_", " ")) for what in others}
     whole = {
         name: datum
         for name, datum in displacement.items()
@@ -177,18 +177,7 @@ def resolved(problem: Elasticity, domain: Domain) -> Elasticity:
             raise InputError(f"displacement on '{name}' needs three components, not one number")
     for what, names in loads.items():
         exclude(whole, names, ("displacement", what.replace("_", " ")))
-    return Elasticity(
-        problem.stiffness,
-        problem.body_force,
-        displacement,
-        loads["traction"],
-        loads["pressure"],
-        loads["support"],
-        problem.expansion,
-        problem.temperature,
-        problem.density,
-        loads["normal_displacement"],
-    )
+    return replace(problem, displacement=displacement, **loads)
 
 
 def require_supports(domain: Domain, fixed: NDArray[np.int64], springs: csr_array | None) -> None:
@@ -223,11 +212,6 @@ def support_matrix(problem: Elasticity, domain: Domain, points: int | None) -> c
         term = matrix(domain, spring, points, boundary=name, components=3)
         total = term if total is None else total + term
     return total
-
-
-def slide(problem: Elasticity, domain: Domain, C: Any, points: int | None) -> tuple[csr_array, Array]:
-    """Matrix (3n, 3n) and vector (3n,) of boundaries with a given normal displacement."""
-    return weakly(problem.normal_displacement, domain, C, points, normal=True)
 
 
 def weakly(
@@ -314,7 +298,7 @@ def modes(
     K = matrix(domain, stiffness_integrand(C), points, components=3)
     springs = support_matrix(problem, domain, points)
     if problem.normal_displacement:
-        sliding = slide(problem, domain, C, points)[0]
+        sliding = weakly(problem.normal_displacement, domain, C, points, normal=True)[0]
         springs = sliding if springs is None else springs + sliding
     density = checked(problem.density, "density", 1, domain)
     M = matrix(domain, Mass(density, 3), points)

@@ -47,6 +47,9 @@ from problems.heat import Heat, resolved
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+BEYOND = 1e-6
+"""Step over a face, in its size: across it for sure, and no gradient changes on the way."""
+
 
 def indicators(problem: Heat, domain: Domain, temperature: Array, points: int | None = None) -> Array:
     """Estimate the error of a steady temperature in the energy norm, element by element.
@@ -262,7 +265,7 @@ def _hanging(
         for chunk in _facet_chunks(domain, number, face, mine, points) if len(mine) else ():
             boxes = boxes or tree(domain)
             normal = chunk.normal
-            beyond = chunk.x + _BEYOND * np.sqrt(chunk.dx.sum(axis=1))[:, None, None] * normal
+            beyond = chunk.x + BEYOND * np.sqrt(chunk.dx.sum(axis=1))[:, None, None] * normal
             there = locate(domain, beyond.reshape(-1, 3), boxes=boxes)
             inside = there.element >= 0
             slope = chunk.gradient(temperature)
@@ -275,9 +278,6 @@ def _hanging(
             square = (normal * flux).sum(axis=-1) ** 2 / _mean(k, chunk)
             found.append((start[number] + chunk.elements, (square * chunk.dx).sum(axis=1)))
     return found
-
-
-_BEYOND = 1e-6  # of a face's size: across it for sure, and no gradient changes on the way
 
 
 def _faces(domain: Domain) -> tuple[Index, Array]:

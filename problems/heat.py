@@ -16,7 +16,7 @@ theta = 1/2).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from iga.field import Field
 from iga.integrands import Diffusion, Load, Mass
 from problems.data import Datum, Sample, depends_on_time, exclude, freeze, resolve, values
 from problems.material import checked, is_tensor
+from problems.rigid import parts_of
 from problems.solution import Quantity, Solution, primary
 from problems.system import System, initial_values, modes_of, prescribed, stepper
 
@@ -123,13 +124,11 @@ def resolved(problem: Heat, domain: Domain) -> Heat:
     convection = resolve(domain, problem.convection, "convection")
     exclude(temperature, flux, ("temperature", "flux"))
     exclude(temperature, convection, ("temperature", "convection"))
-    return Heat(problem.conductivity, problem.source, temperature, flux, convection, problem.capacity)
+    return replace(problem, temperature=temperature, flux=flux, convection=convection)
 
 
 def check_level(problem: Heat, domain: Domain) -> None:
     """Raise if no boundary of some part fixes the level of the temperature."""
-    from problems.rigid import parts_of
-
     count, label = parts_of(domain.space)
     held = np.zeros(count, dtype=bool)
     for name in (*problem.temperature, *problem.convection):

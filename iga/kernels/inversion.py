@@ -15,7 +15,8 @@ from iga.kernels.options import PLAIN
 
 ITERATIONS = 60
 """Most Newton steps from one start; a handful suffices where the map is close to affine."""
-EXCLUDED, OPEN, FOUND = -1, 0, 1
+EXCLUDED, OPEN, FOUND, TESTED = -1, 0, 1, 2
+"""What is known of a target in an element: not in it; nothing; where; nothing, and that tests cannot tell."""
 
 
 @njit(**PLAIN)
@@ -202,7 +203,8 @@ def invert(
     exponents, scale, origin : (b, v) and (b,) of the form; first barycentric coordinate of each one's factor (v,).
     starts : (s, v) barycentric coordinates to start from, one after the other until found.
     tolerance : largest accepted distance, and how far outside counts as on the boundary.
-    status : (m,) result: EXCLUDED (proved not inside), OPEN or FOUND; entries EXCLUDED on input are skipped.
+    status : (m,) result: EXCLUDED (proved not inside), FOUND, or as given. On input EXCLUDED is skipped, and only OPEN
+        is tested for being outside.
     barycentric, distance : (m, v) and (m,) results where FOUND.
     """
     variables = exponents.shape[1]

@@ -31,7 +31,6 @@ def test_scattered_points_on_rational_elements() -> None:
 
 
 def test_probe() -> None:
-    pytest.importorskip("iga.locate")
     solution, _ = solve_exact(bent_box(2, 3), "heat", "1+2*x-3*y+0.5*z")
     points = np.random.default_rng(103).uniform(0.05, 0.95, (12, 3))
     np.testing.assert_allclose(solution.probe(points), 1 + points @ [2, -3, 0.5], atol=1e-9)
