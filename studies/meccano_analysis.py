@@ -114,8 +114,8 @@ def run(size: Size, progress: Progress) -> Result:
     for problem, solid, space in progress.track(jobs, "uniform refinement"):
         theory = (4.0, 3.0) if space == "optimal" else (None, None)
         domain = None
-        fewer = int(solid == "pillowed" or (problem == "elasticity" and space == "t-spline"))
-        for level in range(3) if solid == "star" else range(1, max(last - fewer, 2) + 1):
+        fewer = int(problem == "elasticity" and space == "t-spline")
+        for level in range(3) if solid == "star" else range(1, last - fewer + 1):
             began = perf_counter()
             if solid == "star":
                 domain = refine_domain(domain) if domain is not None else _star()
@@ -193,14 +193,19 @@ def _row(
 
 
 def _said(made: Table) -> str:
-    last = {rate.name: rate.last for rate in made.rates()}
-    rates = "; ".join(f"{name} {value:.2f}" for name, value in last.items())
+    spread: dict[str, dict[str, list[float]]] = {}
+    for rate in made.rates():
+        group = dict(rate.group)
+        if group["problem"] != "layer":
+            spread.setdefault(str(group["space"]), {}).setdefault(rate.y, []).append(rate.last)
+    rates = "; ".join(
+        f"{space} " + ", ".join(f"{error.split('_')[0].upper()} {min(of):.2f} to {max(of):.2f}"
+                                for error, of in found.items())
+        for space, found in spread.items()
+    )  # fmt: skip
     shares = [share for share in made.column("share") if share is not None]
     saved = f"adaptive refinement takes {shares[0]:.2f} of the functions of uniform" if shares else "no saving shown"
-    return f"Last rates: {rates}. On the layer {saved}."
-
-
-# --- pictures ---------------------------------------------------------------------------------------------------------
+    return f"Rates over the last pair of levels: {rates}. On the layer {saved}."
 
 
 def _draw(made: Table, path: Path) -> None:
