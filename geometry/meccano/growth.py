@@ -8,7 +8,9 @@ the points of the boundary closest to those, as far as they face the same way (`
 boundaries that the map left far off, or twisted, come along without a fold. Cells whose facets are farther from the
 surface than the tolerance are split with their neighbours, the solid is carried to the finer space as it is, and slides
 again around them. What splitting has not brought nearer is a sac that its small elements do not move by themselves: it
-slides together with much that is around it. Fine tolerances are reached through coarser ones.
+slides together with much that is around it. What is nearly within the tolerance is drawn nearer by stiffer springs
+before anything is split. Fine tolerances are reached through coarser ones. At the end the boundary is fitted, and a
+solid with many poor shapes slides as a whole while they become fewer.
 
 Webs between limbs stay where elements below them are nearly folded: a descent that may fold elements on its way accepts
 that, and then what is around cannot move without a fold. So while something is far off no element may fold, and slides
@@ -44,6 +46,7 @@ from geometry.meccano.state import LIMB, Aims, State, Target, Task, measured
 from geometry.simplices.closest import closest
 from geometry.simplices.surface import Surface
 from iga.progress import QUIET, Progress
+from iga.scaled_jacobian import least_of_elements
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -136,10 +139,13 @@ def _settled(task: Task, state: State, whole: bool) -> State:
         if softness * task.aims.tolerance <= state.errors.worst.max():
             state = _slid(task, state, softness, free, whole)
     slid = _slid(task, state, 1.0, free, whole)
+    near = _NEARLY * task.aims.tolerance
     # A fine start may be nearer than slides keep it: then finer cells are of more use.
-    if state.errors.worst.max() > min(_FINE) * task.aims.tolerance or slid.excess(task.aims) < state.excess(task.aims):
+    if state.errors.worst.max() > near or slid.excess(task.aims) < state.excess(task.aims):
         state = slid
     state = _slid_on(task, state, LIMB)
+    if state.errors.worst.max() <= near:
+        state = _stiffer(task, state)
     if len(state.solid.invalid):
         everything = np.ones(state.solid.space.n, dtype=bool)
         state = measured(task, untangled(state.solid, everything, _TRIES, _FRUITLESS, task.shown), state.aim)
@@ -149,12 +155,13 @@ def _settled(task: Task, state: State, whole: bool) -> State:
 def _finished(task: Task, state: State) -> State:
     """A solid on its last mesh: nearer to the surface by stiffer springs and by fitting, and poor shapes smoothed."""
     aims = task.aims
-    for softness in _LAST:
-        state = _slid_on(task, state, 0.0, softness)
+    state = _stiffer(task, state)
     # Springs leave the solid to one side of the surface, within the tolerance; a fit does not, so its volume is right.
     snapped = measured(task, _snapped(state.solid, task.surface, state.aim, aims), state.aim)
     if snapped.excess(aims) <= state.excess(aims):
         state = snapped
+    if aims.slides:
+        state = _evened(task, state)
     for _ in range(aims.slides):
         bad = poor(state.solid)
         if bad.any():
@@ -162,6 +169,34 @@ def _finished(task: Task, state: State) -> State:
             # Shapes may not cost nearness.
             if better.excess(aims) <= state.excess(aims):
                 state = better
+    return state
+
+
+def _evened(task: Task, state: State) -> State:
+    """A solid with many poor shapes, slid as a whole while they become fewer and nothing is farther off."""
+    everything = np.ones(state.solid.space.n, dtype=bool)
+    shapes = least_of_elements(state.solid.domain)
+    while _lack(shapes) > _UNEVEN:
+        tried = _slid(task, state, _LAST[-1], everything)
+        before, shapes = shapes, least_of_elements(tried.solid.domain)
+        worse = shapes.min() < min(_LEAST, before.min()) or tried.excess(task.aims) > state.excess(task.aims)
+        if worse or _lack(shapes) > _lack(before):
+            break
+        state = tried
+        if _lack(shapes) > _PROGRESS * _lack(before):
+            break
+    return state
+
+
+def _lack(shapes: Array) -> float:
+    """What scaled Jacobians (e,) lack to a half, in the mean."""
+    return float(np.maximum(0.5 - shapes, 0.0).mean())
+
+
+def _stiffer(task: Task, state: State) -> State:
+    """A solid that is nearly within the tolerance, drawn nearer by stiffer springs."""
+    for softness in _LAST:
+        state = _slid_on(task, state, 0.0, softness)
     return state
 
 
@@ -235,6 +270,11 @@ _GRADES = (8.0, 8.0, 8.0, 4.0, 4.0, 2.0)
 _FINE = (2.0,)
 _LAST = (1.0, 0.5)
 _LEADING = 2.0
+# Tolerances by which something is nearly within the tolerance.
+_NEARLY = 2.0
+# Lack of scaled Jacobians (`_lack`) from which on the whole solid is smoothed, and the least that may come of that.
+_UNEVEN = 0.001
+_LEAST = 0.2
 # Sliding goes on while it leaves this share of what is off.
 _PROGRESS = 0.8
 # Of a slide: rounds and steps of descent, also where it is patient; sample points along the edge of an element, also

@@ -13,7 +13,7 @@ Input is an STL, OBJ, OFF or PLY file, or the name of a shape: "ball", "star" or
     stretch     area of the surface per area of a side up to which limbs may be laid small (default 10)
     share       thickness of the pillow, as a part of a block (default 0.25)
     rounds      most rounds of refinement (default 14)
-    smoothing   rounds in which poor shapes are smoothed at the end (default 1)
+    smoothing   rounds in which poor shapes are smoothed at the end (default 1; 0 also where many are poor)
     measure     of the paper's solids: "volume" (default), the paper's d(T) below the cube of the tolerance, or
                 "distance", a length below the tolerance
     remedy      of the paper's solids: "refine" (default), split cells with a negative centre; "untangle", move inner

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from geometry.layouts.blocks import cube, pillowed, place
 from geometry.layouts.boundary_map import boundary_map, carried, on_surface
 from geometry.layouts.partition import partition
-from geometry.meccano.errors import Errors, errors_of
+from geometry.meccano.errors import Errors, errors_of, surface_samples
 from geometry.meccano.fitting import greville_points, laid
-from geometry.meccano.growth import _marked, nested, solid_of
+from geometry.meccano.growth import _evened, _lack, _marked, _stiffer, nested, solid_of
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.shapes import ball
 from geometry.meccano.skin import outward, skin_of, values_at
 from geometry.meccano.solid import Solid
 from geometry.meccano.springs import SAMPLES
-from geometry.meccano.state import Aims
+from geometry.meccano.state import Aims, State, Task, measured
 from geometry.meccano.tmesh import uniform
 from iga.certificate import certify
+from iga.progress import QUIET
 from iga.scaled_jacobian import least_of_elements
 
 
@@ -100,3 +103,48 @@ def test_fine_tolerances_are_reached_through_coarser_ones():
     np.testing.assert_allclose(nested(0.001, 1.0), [0.004, 0.002, 0.001])
     np.testing.assert_allclose(nested(0.3, 100.0), [0.3])
     np.testing.assert_allclose(nested(1.0, 100.0), [1.0])
+
+
+@pytest.fixture(scope="module")
+def round_solid() -> tuple[Task, State]:
+    """A ball's solid on its first mesh, within a hundredth of the diagonal."""
+    surface = ball(12)
+    mapping = boundary_map(partition(surface))[0]
+    blocks = pillowed(mapping.blocks, 0.25)
+    mapping = carried(mapping, blocks)
+    aims = Aims(0.01 * surface.diagonal, 60)
+
+    def target(side, s):
+        return on_surface(mapping, side, s)[0]
+
+    solid, _ = solid_of(hierarchy(uniform(blocks, 1, 1)), target, surface, aims)
+    task = Task(surface, target, aims, surface_samples(surface, 0.01)[0], QUIET)
+    return task, measured(task, solid)
+
+
+def test_stiffer_springs_draw_nearer_what_is_nearly_there(round_solid):
+    task, state = round_solid
+    swollen = measured(task, replace(state.solid, points=1.03 * state.solid.points))
+    assert 1.0 < swollen.errors.worst.max() / task.aims.tolerance < 2.0
+    drawn = _stiffer(task, swollen)
+    assert not drawn.excess(task.aims)
+    assert drawn.solid.space is state.solid.space
+    assert not len(drawn.solid.invalid)
+
+
+def test_many_poor_shapes_are_smoothed_as_a_whole(round_solid):
+    """The inner block turned about an axis: its surroundings are sheared, all over the solid."""
+    task, state = round_solid
+    points = state.solid.points.copy()
+    inner = state.solid.inner
+    x, y, z = points[inner].T
+    angle = 0.9 * (1.0 - np.linalg.norm(points[inner], axis=1) / np.linalg.norm(points, axis=1).max())
+    cosine, sine = np.cos(angle), np.sin(angle)
+    points[inner] = np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
+    sheared = measured(task, replace(state.solid, points=points))
+    evened = _evened(task, sheared)
+    before, after = (_lack(least_of_elements(each.solid.domain)) for each in (sheared, evened))
+    assert before > 0.001
+    assert after < 0.5 * before
+    assert evened.excess(task.aims) <= sheared.excess(task.aims)
+    assert (certify(evened.solid.domain).verdict == 1).all()
