@@ -110,7 +110,8 @@ def study_run(options: argparse.Namespace) -> Answer:
         runs.append(run_study(module, options.size, options.out, progress()))
         if not options.json:
             print_run(runs[-1])
-    return runs[0].to_json() if len(runs) == 1 else {"runs": [run.to_json() for run in runs]}
+    told = runs[0].to_json() if len(runs) == 1 else {"runs": [run.to_json() for run in runs]}
+    return {**told, "exit": 1 if any(run.undrawn for run in runs) else 0}
 
 
 def study_check(options: argparse.Namespace) -> Answer:

@@ -34,6 +34,7 @@ from geometry.hybrid.skin import Skin, build_skin
 from iga.certificate import certify
 from iga.domain import Domain, counts
 from iga.pictures.plot import plot_domain
+from iga.pictures.skin import Cut
 from iga.progress import Progress
 from problems import solve_exact
 from studies.data import CAD
@@ -131,7 +132,8 @@ def _volume(domain: Domain) -> dict[str, Value]:
 
 
 def _draw(domain: Domain, path: Path) -> None:
-    plot_domain(domain, path, cut="y")
+    # Along the plane itself: a thin solid may have no element wholly on one side.
+    plot_domain(domain, path, cut=Cut("y", smooth=True))
 
 
 def _said(rows: list[dict[str, Value]]) -> str:

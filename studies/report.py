@@ -89,7 +89,7 @@ def wide_console() -> Console:
 
 
 def print_run(run: Run) -> None:
-    """Print what a study found to standard output: table, rates, what they say, and the files written."""
+    """Print what a study found to standard output: table, rates, what they say, and files written or not."""
     console = wide_console()
     console.print(render(run.result.table, f"{run.name} ({run.seconds:.1f} s)"))
     rates = render_rates(run.result.table)
@@ -99,6 +99,8 @@ def print_run(run: Run) -> None:
         console.print(run.result.summary, markup=False)
     for path in run.files:
         console.print(str(path), style="dim", markup=False)
+    for why in run.undrawn:
+        console.print(why, style="red", markup=False)
 
 
 def write_report(path: str | Path, title: str, lead: str, sections: Sequence[Section]) -> Path:

@@ -93,18 +93,20 @@ class Study(Protocol):
 
 @dataclass(frozen=True)
 class Run:
-    """A study that ran: what it found, the files it wrote, how long it took."""
+    """A study that ran: what it found, the files it wrote, how long it took, why figures could not be drawn."""
 
     name: str
     result: Result
     files: tuple[Path, ...]
     seconds: float
+    undrawn: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Return the keys of the command line's JSON answer: study, columns, rows, rates, files, seconds."""
+        """Return the keys of the command line's JSON answer: study, columns, rows, rates, files, undrawn, seconds."""
         return {
             "study": self.name, **to_json(self.result.table), "summary": self.result.summary,
-            "files": [str(path) for path in self.files], "seconds": round(self.seconds, 3),
+            "files": [str(path) for path in self.files], "undrawn": list(self.undrawn),
+            "seconds": round(self.seconds, 3),
         }  # fmt: skip
 
 
@@ -151,6 +153,8 @@ def run_study(
 ) -> Run:
     """Run a study and write its table (CSV, JSON) and figures (PNG) into a folder.
 
+    A figure that cannot be drawn takes neither the table nor the other figures along; the run says why.
+
     Parameters
     ----------
     study : its name, or the module itself.
@@ -173,11 +177,17 @@ def run_study(
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{module.NAME}.csv"]
     write_text(files[0], to_csv(result.table))
+    undrawn = []
     for figure in result.figures:
-        files.append(folder / f"{module.NAME}_{figure.name}.png")
-        figure.draw(files[-1])
+        path = folder / f"{module.NAME}_{figure.name}.png"
+        try:
+            figure.draw(path)
+        except InputError as error:
+            undrawn.append(f"figure {figure.name}: {error}")
+        else:
+            files.append(path)
     files.append(folder / f"{module.NAME}.json")
-    run = Run(module.NAME, result, tuple(files), seconds)
+    run = Run(module.NAME, result, tuple(files), seconds, tuple(undrawn))
     write_text(files[-1], json.dumps(run.to_json(), indent=1, allow_nan=False) + "\n")
     return run
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from iga.errors import InputError
+from iga.progress import QUIET
 from studies.figures import Series, convergence, drawing, plot_heat_table
+from studies.report import print_run
 from studies.study import BASELINES, STUDIES, Figure, Result, check_study, find, list_studies, run_study
 from studies.table import Column, Slope, table
 
@@ -41,6 +44,22 @@ def test_run_writes_table_figures_and_json(tmp_path):
     assert {"study", "columns", "rows", "rates", "files", "seconds"} <= set(data)
     assert len(data["rows"]) == 6
     assert run_study(study(), "ci").files == ()
+
+
+def test_figures_that_cannot_be_drawn_take_nothing_along(tmp_path, capsys):
+    def refuse(path):
+        raise InputError("the cut takes all elements away")
+
+    whole = study()
+    found = whole.run("ci", QUIET)
+    broken = replace(found, figures=(Figure("cut", refuse), *found.figures))
+    whole.run = lambda size, progress: broken
+    run = run_study(whole, "ci", tmp_path)
+    assert [p.name for p in run.files] == ["toy.csv", "toy_rates.png", "toy.json"]
+    assert run.undrawn == ("figure cut: the cut takes all elements away",)
+    assert json.loads(run.files[-1].read_text())["undrawn"] == list(run.undrawn)
+    print_run(run)
+    assert capsys.readouterr().out.splitlines()[-1] == run.undrawn[0]
 
 
 def test_check_passes_and_fails(tmp_path):
