@@ -96,7 +96,7 @@ def run(size: Size, progress: Progress) -> Result:
             continue
         brep = shapes.SHAPES[name]() if name in shapes.SHAPES else read_cad(CAD / name)
         for number, tolerance in enumerate(tolerances):
-            skin = build_skin(brep, largest, tolerance, name, splines=True)
+            skin = build_skin(brep, largest, tolerance, name, kind="hb-rep")
             row = _row(name, tolerance, skin)
             if filled and number == 0:
                 domain = complete_with_layers(shell_of(skin), 3, 0.5)

@@ -11,10 +11,9 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from geometry.hybrid.sealing import Sealed
-from geometry.hybrid.splining import Splined
 
 
-def describe(sealed: Sealed, solid: Splined) -> dict[str, Any]:
+def describe(sealed: Sealed) -> dict[str, Any]:
     """Numbers of an HB-rep.
 
     Returns
@@ -25,7 +24,7 @@ def describe(sealed: Sealed, solid: Splined) -> dict[str, Any]:
     bicubic polynomials the bound of the distance and whether it is proved; ``condition``, the largest of
     `column_condition`.
     """
-    M, made = sealed.M, sealed.made
+    M, made, solid = sealed.M, sealed.made, sealed.solid
     band = np.zeros(len(made.points), dtype=bool)
     for part in made.parts:
         band[part.block.dofs[part.banded]] = True

@@ -76,6 +76,7 @@ class Sealed:
     on_curve : (b,) Bernstein functions that do not vanish on a trimming curve.
     adjust : (k, i) rows whose product with coefficients says how far a face's B-splines alone, without the mask, are
         from the trim functions' coefficients, one for each of these and each of its faces.
+    solid, meshes : what the HB-rep was made from: the solid with bicubic faces, and the mesh of each face.
     """
 
     made: Assembled
@@ -86,6 +87,8 @@ class Sealed:
     numbers: tuple[Index | None, ...]
     on_curve: Mask
     adjust: csr_array
+    solid: Splined
+    meshes: tuple[FaceMesh, ...]
 
 
 def seal(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> Sealed:
@@ -139,7 +142,9 @@ def seal(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> Sealed:
     for rows_ in adjust:
         rows_.resize(rows_.shape[0], n)
     between = vstack([csr_array((0, n)), *adjust], format="csr")
-    return Sealed(placed, M, coefficients, len(trim), tuple(splines), tuple(numbers), on_curve, between)
+    return Sealed(
+        placed, M, coefficients, len(trim), tuple(splines), tuple(numbers), on_curve, between, solid, tuple(meshes)
+    )
 
 
 def _adjusting(b: Index, number: Index, masked: tuple[Index, Index, Array], trim: int) -> csr_array:

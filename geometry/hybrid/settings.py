@@ -9,6 +9,8 @@ from typing import Any
 from geometry.parameters import optional, parsed, real, rows, whole, word
 
 NAME = "hybrid"
+SKINS = ("triangles", "hybrid", "hb-rep")
+"""Kinds of skins; see `source`."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Settings:
 
 RULES = {
     "solid": optional(whole()),
-    "skin": word("triangles", "hybrid", "hb-rep"),
+    "skin": word(*SKINS),
     "degree": whole(3, 8),
     "size": real(1e-4, 1.0),
     "tolerance": real(1e-10, 0.1),

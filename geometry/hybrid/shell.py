@@ -76,4 +76,5 @@ def shell_of(skin: Skin) -> Shell:
     vertices = np.zeros((len(used), 3))
     for own, s in zip(corners, spots):
         vertices[own] = s
-    return Shell(skin.space, skin.points, corners, vertices, skin.faces, skin.names, skin.adjust)
+    adjust = None if skin.sealed is None else skin.sealed.adjust
+    return Shell(skin.space, skin.points, corners, vertices, skin.faces, skin.names, adjust)

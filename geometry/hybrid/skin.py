@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from geometry.cad.brep import Brep
 from geometry.hybrid.assembling import assemble
@@ -41,6 +40,7 @@ from geometry.hybrid.pcurves import fitted_curves
 from geometry.hybrid.pieces import Pieces, cut_edges, divide_edges, least_pieces
 from geometry.hybrid.reporting import describe
 from geometry.hybrid.sealing import Sealed, seal, spline_blocks
+from geometry.hybrid.settings import SKINS
 from geometry.hybrid.sizing import Sizing, size_edges
 from geometry.hybrid.splining import Splined, splined
 from iga.domain import Space
@@ -80,7 +80,7 @@ class Skin:
     names : name of each CAD face; pieces of a face that was split at its seam share one.
     curves : (s, 3) mesh edges that lie on CAD edges: two vertices and the number of the CAD edge.
     report : distances, areas, volume, ... (see `build_skin`).
-    adjust : of an HB-rep, see `sealing.Sealed`.
+    sealed : of an HB-rep: the splines of its faces, its functions and what they were made from.
     """
 
     space: Space
@@ -90,7 +90,7 @@ class Skin:
     names: tuple[str, ...]
     curves: Index
     report: Mapping[str, Any] = field(default_factory=dict)
-    adjust: csr_array | None = None
+    sealed: Sealed | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "report", MappingProxyType(dict(self.report)))
@@ -98,7 +98,7 @@ class Skin:
 
 def build_skin(
     brep: Brep, size: float = 0.2, tolerance: float = 2e-5, where: str = "", progress: Progress = QUIET,
-    quads: bool = False, splines: bool = False,
+    kind: str = "triangles",
 ) -> Skin:  # fmt: skip
     """Skin of a solid.
 
@@ -108,9 +108,9 @@ def build_skin(
     size : largest element, relative to the diagonal.
     tolerance : wanted distance to the CAD surfaces, relative to the diagonal.
     where : name for messages.
-    quads : quadrilaterals on curved faces, where they fit; triangles alone otherwise.
-    splines : an HB-rep: quadrilaterals on all faces, whose B-splines, revised beside the trimming curves, and trim
-        functions are the functions of the skin (`sealing`), reported by `reporting.describe` as ``hb_rep``.
+    kind : "triangles" alone; "hybrid": quadrilaterals on curved faces, where they fit; "hb-rep": quadrilaterals on all
+        faces, whose B-splines, revised beside the trimming curves, and trim functions are the functions of the skin
+        (`sealing`), reported by `reporting.describe` as ``hb_rep``.
 
     Returns
     -------
@@ -132,6 +132,9 @@ def build_skin(
     where = where or brep.name or "solid"
     if not (0.0 < size <= 1.0 and 1e-10 <= tolerance <= 0.1):
         raise InputError(f"{where}: size must lie in (0, 1] and tolerance in [1e-10, 0.1]")
+    if kind not in SKINS:
+        raise InputError(f"{where}: a skin is one of {', '.join(SKINS)}, not {kind!r}")
+    splines = kind == "hb-rep"
     refuse_cusps(brep, where)
     off = edge_distances(brep)
     brep = fitted_curves(met(brep, off), tolerance)
@@ -140,12 +143,12 @@ def build_skin(
     sizes = size_edges(brep, size)  # of the CAD surfaces: splines in their place curl a little
     solid = splined(brep, tolerance, left) if splines else None
     brep = brep if solid is None else solid.brep
-    task, plan = _begun(brep, solid, sizes, left, size * brep.diagonal, tolerance, quads or splines)
+    task, plan = _begun(brep, solid, sizes, left, size * brep.diagonal, tolerance, kind != "triangles")
     made = _best(task, plan, where, progress)
     told = {"edge_distance_in_file": float(off.max(initial=0.0)), "edge_distance": float(edge_distances(brep).max())}
     report: dict[str, Any] = {**made.skin.report, **{key: value / brep.diagonal for key, value in told.items()}}
-    if solid is not None and made.sealed is not None:
-        report["hb_rep"] = describe(made.sealed, solid)
+    if made.skin.sealed is not None:
+        report["hb_rep"] = describe(made.skin.sealed)
     return replace(made.skin, report=report)
 
 
@@ -237,10 +240,9 @@ class _Plan:
 
 @dataclass(frozen=True, eq=False)
 class _Made:
-    """The skin of one round, as an HB-rep if it is one, and where its elements must be smaller."""
+    """The skin of one round, and where its elements must be smaller."""
 
     skin: Skin
-    sealed: Sealed | None
     finer: Finer
 
     @property
@@ -325,8 +327,8 @@ def _built(task: _Task, plan: _Plan, edges: list[Pieces], meshes: list[FaceMesh]
         skin = Skin(made.space, made.points, made.vertices, owners, names, made.curves, report)
     else:
         space, owners = spline_blocks(sealed)
-        skin = Skin(space, sealed.points, made.vertices, owners, names, made.curves, report, sealed.adjust)
-    return _Made(skin, sealed, finer)
+        skin = Skin(space, sealed.points, made.vertices, owners, names, made.curves, report, sealed)
+    return _Made(skin, finer)
 
 
 def _without_faulty(plan: _Plan, faulty: frozenset[int]) -> _Plan:

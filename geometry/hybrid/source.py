@@ -125,7 +125,7 @@ def _built(brep: Brep, settings: Settings, source: str, shown: Progress) -> tupl
     """Shell as it was filled and its volume, without refinement."""
     began = perf_counter()
     kind = settings.skin
-    skin = build_skin(brep, settings.size, settings.tolerance, source, shown, kind == "hybrid", kind == "hb-rep")
+    skin = build_skin(brep, settings.size, settings.tolerance, source, shown, kind)
     if kind != "triangles" and (skin.report["crossings"] or skin.report["folded"]):
         kind = f"triangles, because quadrilaterals leave folds on {', '.join(skin.report['faulty_faces'])}"
         skin = build_skin(brep, settings.size, settings.tolerance, source, shown)

@@ -13,18 +13,18 @@ pytest.importorskip("OCP")
 
 from geometry.cad.brep import Brep, Coedge, Curve, curve_points, curve_tangents, surface_points
 from geometry.hybrid import shapes
-from geometry.hybrid import skin as skins
 from geometry.hybrid.banding import band_elements
 from geometry.hybrid.chart import make_chart, to_parameters
 from geometry.hybrid.compatible import compatible_cuts, crossings, line_cuts, with_cuts, with_missing
-from geometry.hybrid.facemesh import FaceMesh, joined, mesh_faces
+from geometry.hybrid.facemesh import joined, mesh_faces
 from geometry.hybrid.grid import followed
 from geometry.hybrid.measures import _beside_edges
 from geometry.hybrid.outline import FaceError, regions
 from geometry.hybrid.pieces import Pieces, cut_edges, divide_edges, least_pieces
-from geometry.hybrid.sealing import Sealed, seal
+from geometry.hybrid.sealing import Sealed
 from geometry.hybrid.sizing import size_edges
-from geometry.hybrid.splining import Splined, on_lines, splined
+from geometry.hybrid.skin import Skin, build_skin
+from geometry.hybrid.splining import on_lines, splined
 from geometry.patch import Patch
 from iga.errors import InputError
 
@@ -32,18 +32,11 @@ Array = NDArray[np.float64]
 
 
 @cache
-def built(name: str = "bracket") -> tuple[skins.Skin, Sealed, Splined, list[FaceMesh]]:
-    """The last round of a skin with what went into it."""
-    kept: list[tuple[Sealed, Splined, list[FaceMesh]]] = []
-
-    def keeping(solid: Splined, meshes: list[FaceMesh], made: object) -> Sealed:
-        kept.append((seal(solid, meshes, made), solid, meshes))  # type: ignore[arg-type]
-        return kept[-1][0]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(skins, "seal", keeping)
-        skin = skins.build_skin(shapes.SHAPES[name](), 0.2, 1e-3, splines=True)
-    return skin, *kept[-1]
+def built(name: str = "bracket") -> tuple[Skin, Sealed]:
+    """An HB-rep with what went into it."""
+    skin = build_skin(shapes.SHAPES[name](), 0.2, 1e-3, kind="hb-rep")
+    assert skin.sealed is not None
+    return skin, skin.sealed
 
 
 @cache
@@ -110,9 +103,9 @@ def test_lines_cut_edges_that_follow_no_parameter_line() -> None:
 
 def test_bands_have_right_angles_on_parameter_lines() -> None:
     """Every right triangle has a side on a trimming curve, two on parameter lines, and its corner inside the face."""
-    skin, sealed, _, meshes = built()
+    skin, sealed = built()
     right = rectangles = 0
-    for mesh in meshes:
+    for mesh in sealed.meshes:
         if mesh.band is None:
             continue
         t, r = len(mesh.band.segment), len(mesh.band.low)
@@ -184,8 +177,7 @@ def test_curves_that_come_close_leave_triangles_out() -> None:
 
 
 def test_gaps_count_for_the_elements_at_their_edge() -> None:
-    _, sealed, _, _ = built()
-    made = sealed.made
+    made = built()[1].made
     off = np.zeros(1 + int(made.curves[:, 2].max()))
     off[made.curves[3, 2]] = 0.25
     found = _beside_edges(made, off)

@@ -35,7 +35,7 @@ def solid(name: str) -> Brep:
 
 @cache
 def skin_of(name: str) -> Skin:
-    return build_skin(solid(name), quads=True)
+    return build_skin(solid(name), kind="hybrid")
 
 
 def test_box_of_splines_is_the_cad_surface() -> None:
@@ -71,7 +71,7 @@ def test_trimmed_splines_have_triangles_along_the_curves() -> None:
 
 def test_holes_in_spline_faces_leave_the_cad_surface_beside_them() -> None:
     # Small cells: at the default size triangles reach the tolerance on five sixths of these faces.
-    report = build_skin(solid("lettered_plate"), 0.05, quads=True).report
+    report = build_skin(solid("lettered_plate"), 0.05, kind="hybrid").report
     assert report["crossings"] == report["folded"] == 0
     assert report["watertight_gap"] < 1e-15
     rows = [row for row in report["cad_faces_with_quadrilaterals"] if row["kind"] == "bsplinesurface"]
@@ -150,7 +150,7 @@ def test_pyramids_stand_on_the_quadrilaterals(volume) -> None:
     assert counts(volume).keys() == {"pyramid", "tetrahedron"}
     assert (certify(volume).verdict > 0).all()
     assert volume.report["exact_area_share"] == pytest.approx(1.0, abs=1e-12)
-    skin = build_skin(solid("curved_box"), 0.4, quads=True)
+    skin = build_skin(solid("curved_box"), 0.4, kind="hybrid")
     assert volume.report["quadrilaterals"] == skin.report["quadrilaterals"] == counts(volume)["pyramid"]
     facets = [f for own in volume.boundaries.values() for f in own]
     assert sum(len(f.elements) for f in facets) == skin.report["quadrilaterals"]
@@ -162,7 +162,7 @@ def test_pyramids_stand_on_the_quadrilaterals(volume) -> None:
 
 @pytest.mark.parametrize(("file", "share"), [("block_through_hole.step", 0.7), ("block_torus_fillet3.step", 0.7)])
 def test_rational_faces_are_met_to_the_tolerance(data: Path, file: str, share: float) -> None:
-    skin = build_skin(read_cad(data / "cad" / file), quads=True)
+    skin = build_skin(read_cad(data / "cad" / file), kind="hybrid")
     report = skin.report
     assert report["crossings"] == report["folded"] == 0
     assert report["max_distance"] < 2e-5

@@ -115,7 +115,7 @@ def test_skins_of_files_reach_the_tolerance(data: Path, name: str, solid: int | 
 @pytest.mark.parametrize("name", ["angled.step", "featuretype.step", "pump_carter.stp"])
 def test_quadrilaterals_need_no_plain_triangles_instead(data: Path, name: str, kind: str) -> None:
     """Parts that once fell back to triangles everywhere, because faces of their quadrilaterals crossed."""
-    report = build_skin(read_cad(data / "cad" / name, None), quads=kind == "hybrid", splines=kind == "hb-rep").report
+    report = build_skin(read_cad(data / "cad" / name, None), kind=kind).report
     assert report["crossings"] == report["folded"] == 0
     assert report["quadrilaterals"] > 500
     assert report["max_distance"] <= 2e-5
@@ -125,7 +125,7 @@ def test_quadrilaterals_need_no_plain_triangles_instead(data: Path, name: str, k
 @pytest.mark.parametrize(("name", "solid"), [("wrenchnut.stp", 0), ("mainbody_back.stp", None)])
 def test_gaps_of_a_file_leave_no_folds(data: Path, name: str, solid: int | None) -> None:
     """Faces of the second touch each other up to 2.5e-5 of the diagonal apart, and half of that stays on each."""
-    report = build_skin(read_cad(data / "cad" / name, solid), splines=True).report
+    report = build_skin(read_cad(data / "cad" / name, solid), kind="hb-rep").report
     assert report["crossings"] == report["folded"] == 0
     assert not report["cad_faces_without_band"]
     assert report["max_distance"] <= 2e-5
@@ -135,7 +135,7 @@ def test_gaps_of_a_file_leave_no_folds(data: Path, name: str, solid: int | None)
 @pytest.mark.long
 def test_a_leading_edge_keeps_its_splines(data: Path) -> None:
     """The wing's faces curl within a thousandth of their length, where triangles are wider than knot intervals."""
-    report = build_skin(read_cad(data / "cad" / "wing_fuselage.step", 0), splines=True).report
+    report = build_skin(read_cad(data / "cad" / "wing_fuselage.step", 0), kind="hb-rep").report
     assert report["crossings"] == report["folded"] == 0
     assert not report["cad_faces_without_band"]
     assert report["max_distance"] <= 2e-5

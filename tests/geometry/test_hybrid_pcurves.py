@@ -153,7 +153,7 @@ def test_edges_end_at_their_vertices(share: float) -> None:
             assert max(gap.max() for gap in gaps) < 1e-7
     made = curve_points(cured.edges[number].curve, ends)
     assert np.linalg.norm(made - brep.vertices[list(edge.vertices)], axis=1).max() < 1e-7 * brep.diagonal
-    for skin in (build_skin(brep, 0.2, 1e-4, splines=True), build_skin(brep, 0.2, 1e-4, quads=True)):
+    for skin in (build_skin(brep, 0.2, 1e-4, kind="hb-rep"), build_skin(brep, 0.2, 1e-4, kind="hybrid")):
         assert skin.report["crossings"] == skin.report["folded"] == 0
         assert not skin.report["cad_faces_without_quadrilaterals"]
 
@@ -169,7 +169,7 @@ def test_a_face_may_pass_the_border_of_its_surface() -> None:
     short = Patch((np.repeat(ends[0], 2), np.repeat(ends[1], 2)), surface_points(surface, corners).reshape(2, 2, 3))
     faces = list(brep.faces)
     faces[f] = replace(faces[f], surface=short)
-    whole, skin = (build_skin(b, 0.2, 1e-3, splines=True) for b in (brep, replace(brep, faces=tuple(faces))))
+    whole, skin = (build_skin(b, 0.2, 1e-3, kind="hb-rep") for b in (brep, replace(brep, faces=tuple(faces))))
     assert skin.report["elements"] == whole.report["elements"]
     assert skin.report["min_quality"] == pytest.approx(whole.report["min_quality"], rel=1e-3)
     assert skin.report["volume"] == pytest.approx(whole.report["volume"], rel=1e-9)

@@ -105,7 +105,7 @@ def bud() -> Brep:
 @cache
 def skin_of(name: str) -> tuple[Brep, Skin]:
     brep = {"cone": cone, "bud": bud, "hemisphere": lambda: _common(0.0, 0.0)}[name]()
-    return brep, build_skin(brep, 0.2, 2e-5, splines=True)
+    return brep, build_skin(brep, 0.2, 2e-5, kind="hb-rep")
 
 
 def test_poles_are_found() -> None:
@@ -224,7 +224,7 @@ def test_half_a_ball_and_a_cone_need_no_functions_but_splines() -> None:
 @given(st.floats(0.0, 3.0), st.floats(-0.7, 0.7))
 def test_cuts_of_a_ball_are_closed_wherever_they_lie(angle: float, height: float) -> None:
     """The plane passes the poles, above and below, or meets one of them."""
-    skin = build_skin(_common(angle, height), 0.3, 5e-4, splines=True)
+    skin = build_skin(_common(angle, height), 0.3, 5e-4, kind="hb-rep")
     report = skin.report
     assert report["folded"] == report["crossings"] == 0
     assert report["watertight_gap"] < 1e-15
@@ -237,7 +237,7 @@ def test_cuts_of_a_ball_are_closed_wherever_they_lie(angle: float, height: float
 def test_faces_with_poles_have_bands_along_curves() -> None:
     """A plane beside the poles, and one through a pole: right triangles along its curve, but none at the pole."""
     for brep, distance in ((_common(0.5, 0.3), 0.3), (_common(0.5, 1.0, 1.0), np.cos(0.5))):
-        report = build_skin(brep, 0.2, 1e-4, splines=True).report
+        report = build_skin(brep, 0.2, 1e-4, kind="hb-rep").report
         assert report["folded"] == report["crossings"] == 0
         assert report["watertight_gap"] < 1e-15
         assert report["max_distance"] < 1e-4
@@ -252,7 +252,7 @@ def test_faces_with_poles_have_bands_along_curves() -> None:
 def test_rational_faces_keep_few_elements_at_poles() -> None:
     """Skins without splines: cells of the rational surface itself, down to the apex of a cone and a curve's end."""
     for brep, volume, most in ((cone(), 0.5 * np.pi, 150), (_common(0.5, 0.3), np.pi * 0.49 * 2.3 / 3.0, 200)):
-        report = build_skin(brep, quads=True).report
+        report = build_skin(brep, kind="hybrid").report
         assert report["folded"] == report["crossings"] == 0
         assert report["watertight_gap"] < 1e-15
         assert report["max_distance"] < 2e-5

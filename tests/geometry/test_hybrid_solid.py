@@ -14,14 +14,14 @@ pytest.importorskip("OCP")
 import geometry
 from geometry.cad.brep import Brep, curve_points, surface_points
 from geometry.hybrid import shapes
-from geometry.hybrid import skin as skins
 from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import project
 from geometry.hybrid.layers import complete_with_layers
 from geometry.hybrid.numbering import numbering, skin_rows
 from geometry.hybrid.reporting import column_condition
-from geometry.hybrid.sealing import Sealed, seal
+from geometry.hybrid.sealing import Sealed
 from geometry.hybrid.shell import shell_of
+from geometry.hybrid.skin import Skin, build_skin
 from geometry.hybrid.splining import Splined, splined
 from geometry.hybrid.subdividing import subdivided
 from geometry.hybrid.volume import complete, fill_skin
@@ -35,21 +35,12 @@ Array = NDArray[np.float64]
 
 
 @cache
-def built(name: str = "curved_difference") -> tuple[Brep, skins.Skin, Sealed, Splined, list[FaceMesh]]:
+def built(name: str = "curved_difference") -> tuple[Brep, Skin, Sealed, Splined, tuple[FaceMesh, ...]]:
     """A skin with everything that went into it."""
-    kept: list[tuple[Sealed, Splined, list[FaceMesh]]] = []
-
-    def keeping(solid: Splined, meshes: list[FaceMesh], made: object) -> Sealed:
-        found = seal(solid, meshes, made)  # type: ignore[arg-type]
-        kept.append((found, solid, meshes))
-        return found
-
     brep = shapes.SHAPES[name]()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(skins, "seal", keeping)
-        skin = skins.build_skin(brep, 0.2, 1e-4, splines=True)
-    assert len(kept) == 1  # one round: the skin is the one that was kept
-    return brep, skin, *kept[0]
+    skin = build_skin(brep, 0.2, 1e-4, kind="hb-rep")
+    assert skin.sealed is not None
+    return brep, skin, skin.sealed, skin.sealed.solid, skin.sealed.meshes
 
 
 def functions_at(sealed: Sealed, part: int, places: Array) -> tuple[Array, Array]:
@@ -140,7 +131,7 @@ def test_functions_are_independent() -> None:
 
 def test_volume_has_the_skin_for_boundary() -> None:
     """The boundary of the volume is the HB-rep, coefficient for coefficient, and cells are certified."""
-    skin = skins.build_skin(shapes.curved_box(), 0.6, 1e-3, splines=True)
+    skin = build_skin(shapes.curved_box(), 0.6, 1e-3, kind="hb-rep")
     shell = subdivided(shell_of(skin))
     domain = complete(shell)
     check(domain)
@@ -156,17 +147,16 @@ def test_volume_has_the_skin_for_boundary() -> None:
 def test_splines_without_the_mask_come_near_the_curves() -> None:
     """What trim functions add to the B-splines of a face is small on the CAD surface, and nothing for constants."""
     brep, skin, sealed, _, _ = built()
-    assert skin.adjust is not None
-    assert skin.adjust.shape == (sealed.adjust.shape[0], skin.space.n)
-    assert np.abs(skin.adjust @ np.ones(skin.space.n)).max() < 1e-11
+    assert sealed.adjust.shape[1] == skin.space.n
+    assert np.abs(sealed.adjust @ np.ones(skin.space.n)).max() < 1e-11
     assert len(np.unique(sealed.adjust.indices[sealed.adjust.indices < sealed.trim])) > 0.3 * sealed.trim
-    off = np.linalg.norm(skin.adjust @ skin.points, axis=1) / brep.diagonal
+    off = np.linalg.norm(sealed.adjust @ skin.points, axis=1) / brep.diagonal
     assert np.quantile(off, 0.5) < 1e-2
 
 
 def test_layers_have_hexahedra_of_splines() -> None:
     """Tensor products of the skin's functions and B-splines inwards, on hexahedra below quadrilaterals."""
-    skin = skins.build_skin(shapes.curved_box(), 0.6, 1e-3, splines=True)
+    skin = build_skin(shapes.curved_box(), 0.6, 1e-3, kind="hb-rep")
     shell = shell_of(skin)
     domain = complete_with_layers(shell, 3, 0.4, way="straight")
     check(domain)
@@ -204,7 +194,7 @@ def test_rational_parts_become_volumes(data: Path, name: str) -> None:
 def test_balls_are_splines_at_their_poles() -> None:
     """A ball: two faces with two poles and a seam, and no C0 functions of triangles alone."""
     brep = shapes.ball()
-    skin = skins.build_skin(brep, 0.2, 1e-4, splines=True)
+    skin = build_skin(brep, 0.2, 1e-4, kind="hb-rep")
     told = skin.report["hb_rep"]
     assert skin.report["folded"] == skin.report["crossings"] == 0
     assert skin.report["watertight_gap"] < 1e-12
@@ -216,7 +206,7 @@ def test_balls_are_splines_at_their_poles() -> None:
 
 def test_a_tetrapod_needs_few_elements() -> None:
     """Sizes at its seams are those of the capsules, not of the splines that replace them."""
-    skin = skins.build_skin(shapes.tetrapod(), 0.2, 1e-3, splines=True)
+    skin = build_skin(shapes.tetrapod(), 0.2, 1e-3, kind="hb-rep")
     assert skin.report["folded"] == skin.report["crossings"] == 0
     assert not skin.report["cad_faces_without_band"]
     assert skin.report["max_distance"] < 1e-3
