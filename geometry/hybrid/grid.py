@@ -106,10 +106,43 @@ def face_lines(
     cuts : parameters at which edges are cut in any case.
     """
     face = brep.faces[number]
-    surface = face.surface
     t = np.linspace(0.0, 1.0, 33)
     outline = np.concatenate([curve_points(c.curve, t) for loop in face.loops for c in loop])
     box = np.stack([outline.min(axis=0), outline.max(axis=0)])
+    wanted = _wanted(brep, face, box, ends, settled, cuts)
+    raster = _rastered(face, box, sizing)
+    target = min(float(np.median(raster.size)), most)
+    same = [10 * ALONG * float(np.ptp(k)) for k in face.surface.knots]
+    made = [
+        _spaced(wanted.firm[d], wanted.given[d], wanted.loose[d], box[:, d], raster.speeds[d].mean(axis=1 - d), target,
+                same[d]) for d in range(2)
+    ]  # fmt: skip
+    poles = poles_of(brep, number)
+    if poles:
+        d = poles[0].direction
+        kept = _apart([*sorted(wanted.firm[d]), *sorted(wanted.given[d]), *box[:, d].tolist()], same[d])
+        width = raster.speeds[1 - d].mean(axis=1 - d) * float(np.diff(made[1 - d]).max())
+        first = _first_row(raster, brep.vertices[[pole.vertex for pole in poles]], sizing)
+        made[d] = rows(kept, poles, raster.speeds[d].mean(axis=1 - d), width, raster.places[d], first, target)
+    return made[0], made[1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Wanted:
+    """Values of both parameters that lines of a face are to have: ``firm`` ones in any case, ``given`` ones, where
+    edges are cut by other faces or must be, before ``loose`` ones, where nothing but sizes asks for them.
+    """
+
+    firm: tuple[list[float], list[float]]
+    given: tuple[list[float], list[float]]
+    loose: tuple[list[float], list[float]]
+
+
+def _wanted(
+    brep: Brep, face: Face, box: Array, ends: dict[int, Array], settled: set[int], cuts: Mapping[int, Array]
+) -> _Wanted:
+    """What lines a face's knots, the box (2, 2) of its outline, and its edges want; see `face_lines`."""
+    surface = face.surface
     firm: tuple[list[float], list[float]] = ([], [])
     given: tuple[list[float], list[float]] = ([], [])
     loose: tuple[list[float], list[float]] = ([], [])
@@ -129,30 +162,37 @@ def face_lines(
                     given[1 - d].extend(curve_points(c.curve, cuts[c.edge])[:, 1 - d].tolist())
                 where = curve_points(c.curve, ends[c.edge])[:, 1 - d]
                 (given if c.edge in settled else loose)[1 - d].extend(where.tolist())
-    # Lengths of parameter lines, and wanted sizes, on a raster of the box.
-    u, v = (np.linspace(a, b, 13) for a, b in zip(*box))
+    return _Wanted(firm, given, loose)
+
+
+@dataclass(frozen=True, eq=False)
+class _Raster:
+    """Points of a face on a raster of its box: ``places`` (k,) of both parameters, lengths of parameter lines in space
+    ``speeds`` (k, k) per unit of each, and of the points inside the loops, or of all if there are none, positions
+    (q, 3) and wanted sizes (q,).
+    """
+
+    places: tuple[Array, Array]
+    speeds: tuple[Array, Array]
+    points: Array
+    size: Array
+
+
+def _rastered(face: Face, box: Array, sizing: Sizing, k: int = 13) -> _Raster:
+    u, v = (np.linspace(a, b, k) for a, b in zip(*box))
     raster = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-    x, du, dv = surface_frame(surface, raster)
+    x, du, dv = surface_frame(face.surface, raster)
     inside = winding(face, raster)
-    h = size_at(sizing, x[inside if inside.any() else slice(None)])
-    target = min(float(np.median(h)), most)
-    speeds = [np.linalg.norm(tangent, axis=1).reshape(13, 13) for tangent in (du, dv)]
-    same = [10 * ALONG * float(np.ptp(k)) for k in surface.knots]
-    made = [
-        _spaced(firm[d], given[d], loose[d], box[:, d], speeds[d].mean(axis=1 - d), target, same[d]) for d in range(2)
-    ]
-    poles = poles_of(brep, number)
-    if poles:
-        d = poles[0].direction
-        kept = _apart([*sorted(firm[d]), *sorted(given[d]), *box[:, d].tolist()], same[d])
-        width = speeds[1 - d].mean(axis=1 - d) * float(np.diff(made[1 - d]).max())
-        tips = brep.vertices[[pole.vertex for pole in poles]]
-        first = float(size_at(sizing, tips).min())
-        # A triangle at a pole is as small as elements want to be anywhere on it.
-        beside = (np.linalg.norm(x[:, None] - tips, axis=2) < first).any(axis=1)
-        first = min(first, float(h[beside[inside] if inside.any() else beside].min(initial=first)))
-        made[d] = rows(kept, poles, speeds[d].mean(axis=1 - d), width, (u, v)[d], first, target)
-    return made[0], made[1]
+    x = x[inside] if inside.any() else x
+    speeds = [np.linalg.norm(tangent, axis=1).reshape(k, k) for tangent in (du, dv)]
+    return _Raster((u, v), (speeds[0], speeds[1]), x, size_at(sizing, x))
+
+
+def _first_row(raster: _Raster, tips: Array, sizing: Sizing) -> float:
+    """Height of the rows at poles (p, 3): a triangle there is as small as elements want to be anywhere on it."""
+    first = float(size_at(sizing, tips).min())
+    beside = (np.linalg.norm(raster.points[:, None] - tips, axis=2) < first).any(axis=1)
+    return min(first, float(raster.size[beside].min(initial=first)))
 
 
 def _apart(values: list[float], same: float) -> list[float]:
@@ -358,23 +398,3 @@ def kept_share(grid: Grid) -> float:
     area = np.outer(*(np.diff(x) for x in grid.lines))
     whole = float(area[grid.inside].sum())
     return float(area[grid.kept | grid.polar].sum()) / whole if whole > 0.0 else 0.0
-
-
-def count_intervals(face: Face) -> dict[str, int]:
-    """How many knot intervals of a face are interior, trimmed (crossed or touched by a curve) and exterior."""
-    lines = [np.unique(k) for k in face.surface.knots]
-    met = np.zeros(tuple(len(x) - 1 for x in lines), dtype=bool)
-    t = np.linspace(0.0, 1.0, 1 + 64 * max(8, *met.shape))
-    for loop in face.loops:
-        for c in loop:
-            p = curve_points(c.curve, t)
-            hit = [
-                (p[:, d, None] >= x[:-1] - ALONG * np.ptp(x)) & (p[:, d, None] <= x[1:] + ALONG * np.ptp(x))
-                for d, x in enumerate(lines)
-            ]
-            met |= (hit[0].T.astype(np.float64) @ hit[1].astype(np.float64)) > 1.0  # a point alone does not count
-    middles = [0.5 * (x[1:] + x[:-1]) for x in lines]
-    inside = winding(face, np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(met.shape)
-    return {
-        "interior": int((inside & ~met).sum()), "trimmed": int(met.sum()), "exterior": int((~inside & ~met).sum())
-    }

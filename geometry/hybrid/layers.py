@@ -295,30 +295,41 @@ def complete_with_layers(
     found = {"blended": ways_of(shell, field)} if field else {}
     found["straight"] = ways_of(shell, None)
     for how, share in [(how, omega / 2**k) for how in found for k in range(_TRIES)]:
-        D, scale, left = valid_layers(shell, found[how], share, n, beta)
-        if left:
-            reason = f"{left} elements of layers are not certified with {how} paths at omega={share:g}"
-            shown.say(f"layers: {reason}")
-            continue
-        outer = shell
-        for _ in range(levels):
-            outer, fine = refined(outer, np.moveaxis(D, 0, 1).reshape(outer.space.n, -1))
-            D = np.moveaxis(fine.reshape(outer.space.n, n + 1, 3), 1, 0)
-        inner = moved(outer, D[0])
         try:
-            filled = fill_skin(inner, limit)
-            inside = assemble(inner, filled.mesh, filled.vertices, degree, 12, provenance, {
-                "lowest_pyramid": float(filled.heights.min(initial=np.inf)), "cut_vertices": filled.cut,
-            }, shown)
-            domain = with_layers(inside, outer, D, filled.mesh.vertices)
-            left = int((certify(domain, 1e9).verdict <= 0).sum())
-            if not left:
-                lowered = int((scale < 1.0).sum())
-                return with_report(domain, omega=share, paths=how, lowered=lowered, not_certified=0, **told)
-            reason = f"{left} elements are not certified with {how} paths at omega={share:g}"
+            made = _under_layers(shell, found[how], share, n, beta, levels, provenance, limit, shown)
+            return with_report(made, omega=share, paths=how, **told)
         except InputError as error:
             reason = f"{error} ({how} paths, omega={share:g})"
-        shown.say(f"layers: {reason}")
+            shown.say(f"layers: {reason}")
     for _ in range(levels):
         shell = refined(shell, shell.points)[0]
     return with_report(complete(shell, provenance, limit, shown=shown), layers_dropped=reason)
+
+
+def _under_layers(
+    shell: Shell, ways: Ways, omega: float, n: int, beta: float, levels: int, provenance: Provenance | None,
+    limit: float, shown: Progress,
+) -> Domain:  # fmt: skip
+    """Volume of layers along given ways, and what is below them; parameters as of `complete_with_layers`.
+
+    Raises
+    ------
+    InputError : elements are not certified, or what is below the layers cannot be filled.
+    """
+    degree = degree_of(shell)
+    D, scale, left = valid_layers(shell, ways, omega, n, beta)
+    if left:
+        raise InputError(f"{left} elements of layers are not certified")
+    for _ in range(levels):
+        shell, fine = refined(shell, np.moveaxis(D, 0, 1).reshape(shell.space.n, -1))
+        D = np.moveaxis(fine.reshape(shell.space.n, n + 1, 3), 1, 0)
+    inner = moved(shell, D[0])
+    filled = fill_skin(inner, limit)
+    inside = assemble(inner, filled.mesh, filled.vertices, degree, 12, provenance, {
+        "lowest_pyramid": float(filled.heights.min(initial=np.inf)), "cut_vertices": filled.cut,
+    }, shown)
+    domain = with_layers(inside, shell, D, filled.mesh.vertices)
+    left = int((certify(domain, 1e9).verdict <= 0).sum())
+    if left:
+        raise InputError(f"{left} elements are not certified")
+    return with_report(domain, lowered=int((scale < 1.0).sum()), not_certified=0)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.cad.brep import Brep
+from geometry.cad.brep import Brep, Face, curve_points
 from geometry.hybrid.assembling import Assembled
 from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import BICUBIC
-from geometry.hybrid.grid import count_intervals
+from geometry.hybrid.grid import ALONG, winding
 from geometry.hybrid.sizing import Sizing
 from geometry.hybrid.triangulation import SPLIT
 from geometry.simplices.crossing import crossing_pairs
@@ -247,6 +247,26 @@ def _per_face(
         if len(proved) and len(proved) == len(made.quads):
             rows[-1]["proved_distance"] = float(proved.max() / brep.diagonal)
     return rows
+
+
+def count_intervals(face: Face) -> dict[str, int]:
+    """How many knot intervals of a face are interior, trimmed (crossed or touched by a curve) and exterior."""
+    lines = [np.unique(k) for k in face.surface.knots]
+    met = np.zeros(tuple(len(x) - 1 for x in lines), dtype=bool)
+    t = np.linspace(0.0, 1.0, 1 + 64 * max(8, *met.shape))
+    for loop in face.loops:
+        for c in loop:
+            p = curve_points(c.curve, t)
+            hit = [
+                (p[:, d, None] >= x[:-1] - ALONG * np.ptp(x)) & (p[:, d, None] <= x[1:] + ALONG * np.ptp(x))
+                for d, x in enumerate(lines)
+            ]
+            met |= (hit[0].T.astype(np.float64) @ hit[1].astype(np.float64)) > 1.0  # a point alone does not count
+    middles = [0.5 * (x[1:] + x[:-1]) for x in lines]
+    inside = winding(face, np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(met.shape)
+    return {
+        "interior": int((inside & ~met).sum()), "trimmed": int(met.sum()), "exterior": int((~inside & ~met).sum())
+    }
 
 
 def _gap(made: Assembled, names: list[str]) -> float:

@@ -13,7 +13,8 @@ from geometry.cad.brep import Brep, surface_points
 from geometry.hybrid import read_cad, shapes
 from geometry.hybrid.compatible import halved, with_cuts, with_missing
 from geometry.hybrid.fitting import bezier_nets
-from geometry.hybrid.grid import agree, count_intervals, followed, is_flat, make_grid, winding
+from geometry.hybrid.grid import agree, followed, is_flat, make_grid, winding
+from geometry.hybrid.measures import count_intervals
 from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
 from geometry.hybrid.settings import Settings
 from geometry.hybrid.shapes import lettered_face
