@@ -27,6 +27,7 @@ from iga.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 MAX_PIECES = 4096
 """Most pieces of one curve: one that wants more is not smooth."""
@@ -223,6 +224,21 @@ def fit_curve(
 def _bernstein(degree: int, t: Array) -> Array:
     knots = np.repeat([0.0, 1.0], degree + 1)
     return evaluation(knots, degree, t).values
+
+
+def winding(face: Face, uv: Array) -> Mask:
+    """Whether points (q, 2) of the parameter plane lie inside the loops: crossings of the ray towards +u."""
+    t = np.linspace(0.0, 1.0, 65)
+    rings = []
+    for loop in face.loops:
+        rings.append(np.concatenate([curve_points(c.curve, t[::-1] if c.reversed else t)[:-1] for c in loop]))
+    start = np.concatenate(rings)
+    end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
+    p, q = uv[:, None, 1], uv[:, None, 0]
+    crossed = (start[:, 1] > p) != (end[:, 1] > p)
+    rise = np.where(end[:, 1] == start[:, 1], 1.0, end[:, 1] - start[:, 1])
+    at = start[:, 0] + (p - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
+    return np.asarray((crossed & (at > q)).sum(axis=1) % 2 == 1)
 
 
 def sealing_gap(brep: Brep, samples: int = 9) -> Array:

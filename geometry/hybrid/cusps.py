@@ -17,8 +17,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.cad.brep import Brep, Coedge, curve_points, curve_tangents, surface_frame
-from geometry.hybrid.grid import winding
+from geometry.cad.brep import Brep, Coedge, curve_points, curve_tangents, surface_frame, winding
 from iga.errors import InputError
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.cad.brep import Brep, Coedge, Face, curve_points, surface_frame
+from geometry.cad.brep import Brep, Coedge, Face, curve_points, surface_frame, winding
 from geometry.hybrid.poles import AROUND, Pole, poles_of, rows
 from geometry.hybrid.sizing import Sizing, size_at
 from geometry.patch import Patch
@@ -298,21 +298,6 @@ def _meeting(c: Coedge, d: int, lines: Array, reach: float) -> Array:
         below = (curve_points(c.curve, middle)[:, d] < value) == rising
         a, b = np.where(below, middle, a), np.where(below, b, middle)
     return np.sort(0.5 * (a + b))
-
-
-def winding(face: Face, uv: Array) -> Mask:
-    """Whether points (q, 2) of the parameter plane lie inside the loops: crossings of the ray towards +u."""
-    t = np.linspace(0.0, 1.0, 65)
-    rings = []
-    for loop in face.loops:
-        rings.append(np.concatenate([curve_points(c.curve, t[::-1] if c.reversed else t)[:-1] for c in loop]))
-    start = np.concatenate(rings)
-    end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
-    p, q = uv[:, None, 1], uv[:, None, 0]
-    crossed = (start[:, 1] > p) != (end[:, 1] > p)
-    rise = np.where(end[:, 1] == start[:, 1], 1.0, end[:, 1] - start[:, 1])
-    at = start[:, 0] + (p - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
-    return np.asarray((crossed & (at > q)).sum(axis=1) % 2 == 1)
 
 
 def make_grid(brep: Brep, number: int, lines: tuple[Array, Array], sizing: Sizing) -> Grid:

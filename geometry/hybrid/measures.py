@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.cad.brep import Brep, Face, curve_points
+from geometry.cad.brep import Brep, Face, curve_points, winding
 from geometry.hybrid.assembling import Assembled
 from geometry.hybrid.facemesh import FaceMesh
 from geometry.hybrid.fitting import BICUBIC
-from geometry.hybrid.grid import ALONG, winding
+from geometry.hybrid.grid import ALONG
 from geometry.hybrid.sizing import Sizing
 from geometry.hybrid.triangulation import SPLIT
 from geometry.simplices.crossing import crossing_pairs

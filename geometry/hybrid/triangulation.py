@@ -228,7 +228,7 @@ def triangulate(
     smooth: NDArray[np.bool_],
     frame: Callable[[Array], tuple[Array, Array]],
     size: Callable[[Array], Array],
-    forced: set[tuple[int, int]],
+    barred: set[tuple[int, int]],
     where: str,
 ) -> Triangulation:
     """Triangulate a region bounded by polygons.
@@ -240,7 +240,7 @@ def triangulate(
     smooth : (n,) whether the boundary is smooth at a vertex.
     frame : points and unit normals in space (q, 3) of chart points (q, 2), zero normals at poles.
     size : wanted length of edges (q,) at points in space (q, 3).
-    forced : pairs of boundary vertices that no interior edge may join.
+    barred : pairs of boundary vertices that no interior edge may join.
     where : name for messages.
 
     Raises
@@ -263,7 +263,7 @@ def triangulate(
         return np.minimum(size(at), size_beside(ends, longest, at))
 
     for round_ in range(PASSES):
-        marked = _marked(q, x, normal, triangles, adjacent, smooth, frame, least, room, forced)
+        marked = _marked(q, x, normal, triangles, adjacent, smooth, frame, least, room, barred)
         if len(marked) == 0:
             break
         q, triangles, adjacent = _grown(q, triangles, adjacent, marked)
@@ -285,7 +285,7 @@ def triangulate(
 def _marked(
     q: Array, x: Array, normal: Array, triangles: Index, adjacent: Index, smooth: NDArray[np.bool_],
     frame: Callable[[Array], tuple[Array, Array]], size: Callable[[Array], Array], room: Array,
-    forced: set[tuple[int, int]],
+    barred: set[tuple[int, int]],
 ) -> Index:  # fmt: skip
     """Interior edges (m, 2) to split, the worst first."""
     t, k = np.nonzero(adjacent > np.arange(len(triangles))[:, None])
@@ -303,9 +303,9 @@ def _marked(
             s = adjacent[tri, other]
             if s >= 0:
                 score[((t == tri) & (k == other)) | ((t == s) & (adjacent[t, k] == tri))] = np.inf
-    if forced:
+    if barred:
         for i, pair in enumerate(zip(a.tolist(), b.tolist())):
-            if (min(pair), max(pair)) in forced:
+            if (min(pair), max(pair)) in barred:
                 score[i] = np.inf
     chosen = np.flatnonzero(score > 1.0)
     order = chosen[np.argsort(-score[chosen] * 1e3 - length[chosen] / length.max(initial=1e-300), kind="stable")]

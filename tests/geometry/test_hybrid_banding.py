@@ -16,7 +16,8 @@ from geometry.hybrid import shapes
 from geometry.hybrid.banding import band_elements
 from geometry.hybrid.chart import make_chart, to_parameters
 from geometry.hybrid.compatible import compatible_cuts, crossings, line_cuts, with_cuts, with_missing
-from geometry.hybrid.facemesh import joined, mesh_faces
+from geometry.hybrid.cutting import joined
+from geometry.hybrid.facemesh import mesh_faces
 from geometry.hybrid.grid import followed
 from geometry.hybrid.measures import _beside_edges
 from geometry.hybrid.outline import FaceError, regions

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geometry.cad.brep import Brep, surface_points
+from geometry.cad.brep import Brep, surface_points, winding
 from geometry.hybrid import read_cad, shapes
 from geometry.hybrid.compatible import halved, with_cuts, with_missing
 from geometry.hybrid.fitting import bezier_nets
-from geometry.hybrid.grid import agree, followed, is_flat, make_grid, winding
+from geometry.hybrid.grid import agree, followed, is_flat, make_grid
 from geometry.hybrid.measures import count_intervals
 from geometry.hybrid.pieces import cut_edges, divide_edges, least_pieces
 from geometry.hybrid.settings import Settings
