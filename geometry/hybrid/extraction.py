@@ -18,23 +18,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from iga.bernstein import LocalBasis
-from iga.block import Block, Patterns, dense_extraction
+from iga.block import Block, Patterns
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _STEP = 4
 """Numbers of functions are rounded up to multiples of this, so that there are few blocks."""
-
-
-def patterns_of(block: Block) -> Patterns:
-    """Extraction of a block as dense patterns: one for all elements if it is the identity."""
-    if isinstance(block.extraction, Patterns):
-        return block.extraction
-    dense = dense_extraction(block, slice(None))
-    if dense is None:
-        return Patterns(np.eye(block.n)[None], np.zeros(block.elements, dtype=np.int64))
-    return Patterns(dense, np.arange(block.elements))
 
 
 def blocks_of(basis: LocalBasis, dofs: Index, M: csr_array) -> list[tuple[Block, Index]]:

@@ -34,7 +34,6 @@ from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from geometry.hybrid.affine import relaxed, spread
-from geometry.hybrid.extraction import patterns_of
 from geometry.hybrid.fairing import fair_displacement
 from geometry.hybrid.field import field_under
 from geometry.hybrid.filling import LIMIT
@@ -44,7 +43,7 @@ from geometry.hybrid.volume import assemble, complete, degree_of, fill_skin
 from geometry.hybrid.ways import Ways, bounded, inward, ways_of
 from geometry.knots import extraction
 from iga.bernstein import bernstein, functions_at
-from iga.block import Block, Extraction, Patterns, bezier_coefficients
+from iga.block import Block, Extraction, Patterns, bezier_coefficients, distinct_extractions
 from iga.cells import HEXAHEDRON, QUADRILATERAL, WEDGE
 from iga.certificate import certify
 from iga.domain import Domain, Provenance, Space, grouped_facets, with_report
@@ -253,10 +252,9 @@ def _product(block: Block, line: Array, spans: int) -> Extraction:
     plain = np.abs(line - np.eye(line.shape[1])).max() < 1e-15
     if block.extraction is None and plain:
         return None
-    old = patterns_of(block)
-    count = len(old.C)
-    both = np.einsum("kib,sjc->skijbc", old.C, line).reshape(spans * count, old.C.shape[1] * line.shape[1], -1)
-    which = (np.arange(spans)[:, None] * count + old.pattern).ravel()
+    C, pattern = distinct_extractions(block)
+    both = np.einsum("kib,sjc->skijbc", C, line).reshape(spans * len(C), C.shape[1] * line.shape[1], -1)
+    which = (np.arange(spans)[:, None] * len(C) + pattern).ravel()
     return Patterns(np.ascontiguousarray(both), which)
 
 

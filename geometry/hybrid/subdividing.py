@@ -11,10 +11,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.extraction import patterns_of
 from geometry.hybrid.shell import Shell
 from iga.bernstein import functions_at
-from iga.block import Block, Patterns, bezier_coefficients
+from iga.block import Block, Patterns, bezier_coefficients, distinct_extractions
 from iga.cells import QUADRILATERAL, TRIANGLE
 from iga.conforming import Complex, number
 from iga.domain import Space
@@ -90,7 +89,7 @@ def _cut(block: Block) -> Block:
     else:
         corners = simplex_children(TRIANGLE).tolist()
         S = np.stack([blossom_matrix(TRIANGLE, degree[0], tuple(map(tuple, own))) for own in corners])
-    old = patterns_of(block)
-    fine = np.matmul(old.C[:, None], np.swapaxes(S, 1, 2)).reshape(-1, *old.C.shape[1:])
-    which = (4 * old.pattern[:, None] + np.arange(4)).ravel()
+    C, pattern = distinct_extractions(block)
+    fine = np.matmul(C[:, None], np.swapaxes(S, 1, 2)).reshape(-1, *C.shape[1:])
+    which = (4 * pattern[:, None] + np.arange(4)).ravel()
     return Block(block.basis, np.repeat(block.dofs, 4, axis=0), Patterns(fine, which))
