@@ -44,6 +44,8 @@ from iga.scaled_jacobian import scaled_jacobian
 
 SLACK = 4.0
 """Units of the last place of the largest coordinate by which true control points may differ from the stored ones."""
+SIGN_ALONE = 1e9
+"""Tolerance of `certify` with which no bound is made sharper than the sign of det J needs."""
 _CHUNK_BYTES = 32 * 2**20
 """Coefficients worked on at a time: what memory allows, however large the domain."""
 

@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 
 from iga.block import Block, Extraction, Kronecker, Patterns, bezier_coefficients
 from iga.cells import PYRAMID
-from iga.certificate import certify
+from iga.certificate import SIGN_ALONE, certify
 from iga.descent import descend
 from iga.distortion import Batch, Lattice, evaluate, lattice_of, lattice_table, own_shapes, sample_points, tables_at
 from iga.domain import Domain, Space, homogeneous
@@ -42,8 +42,6 @@ _KEPT = 6
 """Most sample points of its own that an element has."""
 _NEAR_APEX = 1.0 - 1e-6
 """Height of an own sample point of a pyramid whose det J is lowest at the apex."""
-_SIGN_ALONE = 1e9
-"""Tolerance of the bounds of det J where only their signs count."""
 _RISE = 0.01
 """Share by which det S must rise at the worst point of a group for another, smaller delta to be worth a descent."""
 _PORTION = 64
@@ -170,7 +168,7 @@ def invalid_elements(
     Numbers of elements; elements (k,) and xi (k, 3) of the lowest points.
     """
     part, numbers = _part(task, points, elements)
-    made = certify(part, tolerance=_SIGN_ALONE, max_depth=depth)
+    made = certify(part, tolerance=SIGN_ALONE, max_depth=depth)
     undecided = np.flatnonzero(made.verdict == 0)
     found = [numbers[made.offsets[made.witnesses.block] + made.witnesses.element]]
     xi = [made.witnesses.xi]

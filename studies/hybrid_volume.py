@@ -33,7 +33,7 @@ from geometry.hybrid.skin import build_skin
 from geometry.hybrid.subdividing import refined
 from geometry.hybrid.ways import ways_of
 from iga.block import bezier_coefficients
-from iga.certificate import certify
+from iga.certificate import SIGN_ALONE, certify
 from iga.domain import Domain, counts
 from iga.pictures.plot import plot_domain
 from iga.progress import Progress
@@ -91,7 +91,7 @@ def run(size: Size, progress: Progress) -> Result:
             own, low, rest = valid_layers(shell, ways_of(shell, anew), OMEGA, LAYERS)
             rows.append(_row(name, "rebuilt", level, shell, own, inside, int(anew.middle.sum()), low, rest))
         domain = complete_with_layers(coarse, LAYERS, OMEGA)
-        verdict = certify(domain, 1e9).verdict
+        verdict = certify(domain, SIGN_ALONE).verdict
         rows[next(i for i, r in enumerate(rows) if r["model"] == name and r["way"] == "traced")] |= {
             "cells": sum(counts(domain).values()), "refuted": int((verdict <= 0).sum())
         }

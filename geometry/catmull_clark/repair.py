@@ -34,7 +34,7 @@ from geometry.catmull_clark.lattice import bezier_matrix, bezier_rows, limit_mat
 from geometry.catmull_clark.topology import CREASE, INTERIOR, Topology, incidence
 from iga.bernstein import bernstein
 from iga.cells import QUADRILATERAL
-from iga.certificate import certify
+from iga.certificate import SIGN_ALONE, certify
 from iga.distortion import own_shapes
 from iga.domain import Domain
 from iga.progress import QUIET, Progress
@@ -104,7 +104,7 @@ def repair(
 
 def invalid_cells(domain: Domain) -> Index:
     """Cells whose closure is not certified, in a domain of depth 0."""
-    verdict = certify(domain, tolerance=1e9, max_depth=6).verdict
+    verdict = certify(domain, tolerance=SIGN_ALONE, max_depth=6).verdict
     parents = [np.arange(b.elements) if b.parent is None else b.parent for b in domain.space.blocks]
     return np.sort(np.concatenate(parents)[verdict <= 0])
 

@@ -57,7 +57,7 @@ from geometry.catmull_clark.shapes import SHAPES
 from geometry.catmull_clark.subdivision import subdivide
 from geometry.catmull_clark.topology import CORNER, CREASE, INTERIOR, SMOOTH, Topology, build_topology, with_kinds
 from geometry.inputs import require_file
-from iga.certificate import certify
+from iga.certificate import SIGN_ALONE, certify
 from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
 from iga.progress import QUIET, Progress, progress
@@ -140,7 +140,7 @@ def domain_of(
         provenance = Provenance(name, source, parameters | {"depth": depth})
         domain = build_domain(result.topology, values[:, :3].copy(), depth, carried, provenance, report)
         # Closures may be valid where the limit itself folds: an automatic depth stops before that.
-        if not depth or settings.depth is not None or invalid or (certify(domain, 1e9).verdict > 0).all():
+        if not depth or settings.depth is not None or invalid or (certify(domain, SIGN_ALONE).verdict > 0).all():
             break
         depth -= 1
     return with_report(domain, **_omitted(result.topology, domain.points, depth, settings.bound))

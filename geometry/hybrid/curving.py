@@ -37,7 +37,7 @@ from scipy.sparse import csr_array
 from iga.assembly import matrix
 from iga.bernstein import bernstein, greville, lagrange_to_bernstein
 from iga.cells import PYRAMID
-from iga.certificate import certify
+from iga.certificate import SIGN_ALONE, certify
 from iga.chunk import chunks
 from iga.distortion import own_shapes
 from iga.domain import Domain
@@ -141,7 +141,7 @@ def smooth_tops(
             points[own] = projection @ points[own]
             held[block.dofs] = True
     moved = replace(domain, points=domain.points + spread(domain, held, points - domain.points))
-    if (certify(moved, 1e9).verdict > 0).all():
+    if (certify(moved, SIGN_ALONE).verdict > 0).all():
         return moved
     made = unfold(moved, ~held, shapes, rounds, shown)
     return None if len(made.invalid) else replace(domain, points=made.points)

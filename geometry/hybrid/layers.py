@@ -45,7 +45,7 @@ from geometry.knots import extraction
 from iga.bernstein import bernstein, functions_at
 from iga.block import Block, Extraction, Patterns, bezier_coefficients, distinct_extractions
 from iga.cells import HEXAHEDRON, QUADRILATERAL, WEDGE
-from iga.certificate import certify
+from iga.certificate import SIGN_ALONE, certify
 from iga.domain import Domain, Provenance, Space, grouped_facets, with_report
 from iga.errors import InputError
 from iga.progress import QUIET, Progress
@@ -155,7 +155,7 @@ def valid_layers(
     for _ in range(rounds):
         D = traced(shell, ways, omega, shares_of(n, degree), beta, scale)
         innermost = Domain(Space((), shell.space.n), shell.points + D[0])
-        verdict = certify(with_layers(innermost, shell, D, len(shell.vertices)), 1e9).verdict
+        verdict = certify(with_layers(innermost, shell, D, len(shell.vertices)), SIGN_ALONE).verdict
         left = np.flatnonzero(verdict <= 0)
         if not len(left):
             break
@@ -327,7 +327,7 @@ def _under_layers(
         "lowest_pyramid": float(filled.heights.min(initial=np.inf)), "cut_vertices": filled.cut,
     }, shown)
     domain = with_layers(inside, shell, D, filled.mesh.vertices)
-    left = int((certify(domain, 1e9).verdict <= 0).sum())
+    left = int((certify(domain, SIGN_ALONE).verdict <= 0).sum())
     if left:
         raise InputError(f"{left} elements are not certified")
     return with_report(domain, lowered=int((scale < 1.0).sum()), not_certified=0)

@@ -30,7 +30,7 @@ from geometry.hybrid.curving import sized_shapes, unfold
 from iga.bernstein import Bernstein, bernstein, elevation, greville, lagrange_to_bernstein
 from iga.block import Block, bezier_coefficients
 from iga.cells import CELLS, HEXAHEDRON, PYRAMID, TETRAHEDRON, Cell
-from iga.certificate import certify
+from iga.certificate import SIGN_ALONE, certify
 from iga.conditions import trace_functions
 from iga.conforming import Complex, boundary, number
 from iga.domain import Domain, Provenance, Space, grouped_facets, homogeneous
@@ -333,7 +333,7 @@ def refine(domain: Domain, levels: int = 1, elevate: int = 0) -> Domain:
 
 def certified(domain: Domain) -> Domain:
     """The domain with inner control points moved where elements are not certified, and how many stay so."""
-    if (certify(domain, 1e9).verdict > 0).all():
+    if (certify(domain, SIGN_ALONE).verdict > 0).all():
         return replace(domain, report={**domain.report, "not_certified": 0})
     free = np.ones(domain.space.n, dtype=bool)
     free[trace_functions(domain, boundary(mesh_of(domain)))] = False
