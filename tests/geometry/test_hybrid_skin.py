@@ -221,6 +221,6 @@ def test_real_parts_have_skins(data: Path, file: str, most: int) -> None:
 
 def test_unknown_kinds_and_sizes_are_refused() -> None:
     for wrong, message in (({"kind": "quads"}, "a skin is one of triangles, hybrid, hb-rep, not 'quads'"),
-                           ({"size": 0.0}, "curved_box: size must lie in"), ({"tolerance": 1.0}, "tolerance in")):
+                           ({"size": 0.0}, "size must lie in"), ({"tolerance": 1.0}, "tolerance in")):
         with pytest.raises(InputError, match=message):
             build_skin(solid("curved_box"), **wrong)  # type: ignore[arg-type]
