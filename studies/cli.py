@@ -89,15 +89,25 @@ def _show(answer: Answer, indent: str = "") -> None:
             print(f"{indent}{key}:")
             _show(value, indent + "  ")
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            _show_rows(value, indent)
+            print(f"{indent}{key}:")
+            _show_table(value, indent + "  ")
         else:
             print(f"{indent}{key}: {_short(value)}")
 
 
-def _show_rows(rows: list[Answer], indent: str = "") -> None:
-    for row in rows:
-        first, *rest = row.values()
-        print(f"{indent}{first!s:<28}", *map(_short, rest))
+def _show_table(rows: list[Answer], indent: str) -> None:
+    """Rows below the names of their columns; a row may lack some."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    lines = [names, *([_short(row[name]) if name in row else "" for name in names] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines)]
+    for line in lines:
+        print(indent + "  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip())
+
+
+def _show_pairs(rows: list[Answer]) -> None:
+    """Names and what is said of them."""
+    for name, about in map(dict.values, rows):
+        print(f"{name:<28} {about}")
 
 
 def _short(value: Any) -> str:
@@ -125,11 +135,22 @@ examples:
 """
 
 
+class _Version(argparse.Action):
+    """Print the version; it is looked up only then, because that takes as long as all else at the start."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from importlib.metadata import version
+
+        print("iga", version("solids-iga"))
+        parser.exit()
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="iga", formatter_class=argparse.RawDescriptionHelpFormatter, epilog=_EXAMPLES,
         description="Isogeometric analysis on solids that come from anywhere.",
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     top = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
     build = _command(
@@ -196,7 +217,7 @@ def _parser() -> argparse.ArgumentParser:
 
     sources = _command(top, "sources", commands.sources, "list the geometry sources, or say all about one")
     sources.add_argument("name", nargs="?", metavar="NAME", help="source whose inputs and settings to explain")
-    sources.set_defaults(show=lambda a: print(a["about"]) if "about" in a else _show_rows(a["sources"]))
+    sources.set_defaults(show=lambda a: print(a["about"]) if "about" in a else _show_pairs(a["sources"]))
 
     demo = _command(top, "demo", commands.demo, "a tour in three minutes: tables, plots and pictures")
     demo.add_argument("--out", default="results/demo", metavar="DIR", help="folder to write (default results/demo)")
@@ -209,7 +230,8 @@ _STUDIES = "A study is a question with a table for an answer; its baseline holds
 
 def _study(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    _command(actions, "list", commands.study_list, "names and questions of all studies")
+    names = _command(actions, "list", commands.study_list, "names and questions of all studies")
+    names.set_defaults(show=lambda a: _show_pairs(a["studies"]))
     run = _command(actions, "run", commands.study_run, "run studies, write tables (CSV, JSON) and figures (PNG)")
     run.add_argument("names", nargs="+", metavar="NAME", help="studies, as `iga study list` names them")
     run.add_argument("--size", choices=("ci", "full"), default="full", help="seconds or minutes (default full)")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from iga.errors import InputError
+from iga.exchange.files import require_place
 from iga.exchange.reading import read_vtu
 from iga.pictures.plot import plot_domain, plot_field
 from iga.store import load
@@ -29,9 +30,7 @@ def draw(
     ------
     InputError : no such file or field; the fields that exist are listed.
     """
-    path, out = Path(path), Path(out)
-    if out.suffix.lower() != ".png":
-        raise InputError(f"{out}: pictures are PNG files")
+    path, out = Path(path), require_place(out, ".png")
     if path.suffix.lower() == ".vtu":
         domain, fields = read_vtu(path)
     else:

@@ -5,6 +5,7 @@ With `reading` and `hybrid.shapes` this module alone touches Open CASCADE, and i
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -81,11 +82,32 @@ def measures(shape: Any) -> tuple[float, float]:
 
 
 def quiet() -> None:
-    """No messages of the kernel but failures."""
-    from OCP.Message import Message, Message_Gravity
+    """No messages of the kernel: it prints on standard output, where ``--json`` has one object and nothing else."""
+    from OCP.Message import Message
 
-    for printer in Message.DefaultMessenger_s().Printers():
-        printer.SetTraceLevel(Message_Gravity.Message_Fail)
+    messenger = Message.DefaultMessenger_s()
+    for printer in list(messenger.Printers()):
+        messenger.RemovePrinter(printer)
+
+
+_NO_NUMBER = re.compile(
+    rb"[(,]\s*([+-]?(?:(?:nan|inf)[a-z]*|[\d.]+e\+?0*(?:10[1-9]|1[1-9]\d|[2-9]\d\d|[1-9]\d{3,})))\s*[,)]", re.IGNORECASE
+)
+"""NaN, infinity, and numbers beyond 2e100, which is the kernel's infinity."""
+
+
+def check_step(path: Path) -> None:
+    """Refuse what is no finite number in a STEP file: the kernel reads it, and its checks of a solid may not end then.
+
+    Raises
+    ------
+    FormatError : naming the line.
+    """
+    text = re.sub(rb"'[^']*'", lambda quoted: b"''" + b"\n" * quoted[0].count(b"\n"), path.read_bytes())
+    found = _NO_NUMBER.search(text)
+    if found:
+        line = text.count(b"\n", 0, found.start(1)) + 1
+        raise FormatError(f"{path}: line {line} has {found[1].decode()}, which is no finite number")
 
 
 def read_step(path: Path) -> tuple[Any, Label]:
@@ -103,6 +125,7 @@ def read_step(path: Path) -> tuple[Any, Label]:
     from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool
 
     quiet()
+    check_step(path)
     document = TDocStd_Document(TCollection_ExtendedString("BinXCAF"))
     reader = STEPCAFControl_Reader()
     reader.SetColorMode(True)
@@ -112,7 +135,9 @@ def read_step(path: Path) -> tuple[Any, Label]:
         raise FormatError(f"{path}: Open CASCADE cannot read this STEP file: {str(error).splitlines()[0]}") from error
     shape = reader.Reader().OneShape() if read else None
     if shape is None or shape.IsNull():
-        raise FormatError(f"{path}: Open CASCADE finds no shape in this STEP file")
+        cut_off = b"END-ISO-10303-21" not in path.read_bytes()
+        hint = "; it is cut off, END-ISO-10303-21 is missing" if cut_off else ""
+        raise FormatError(f"{path}: Open CASCADE finds no shape in this STEP file{hint}")
     transfer = reader.Reader().WS().TransferReader()
     tool = XCAFDoc_DocumentTool.ColorTool_s(document.Main())
 

@@ -28,6 +28,8 @@ STYLE: dict[str, Any] = {
 }  # fmt: skip
 DPI = 220
 """Dots of a picture per inch of the frame that is drawn around it."""
+LEGEND_ROW, BAR_ROOM = 0.21, 1.5
+"""Height in inches of a name in a legend, and of what a scalar bar with its title and ticks needs at least."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ def compose(
     from matplotlib.figure import Figure
 
     rows, columns = picture.shape[:2]
-    width, height = columns / DPI, rows / DPI
+    width, drawn = columns / DPI, rows / DPI  # a flat solid is lower than its names
+    height = max(drawn, BAR_ROOM if bar is not None else LEGEND_ROW * len(legend))
     with mpl.rc_context({**STYLE, "savefig.bbox": "standard", "font.size": 10}):
         words = [bar.title] if bar is not None else [name for name, _ in legend]
         side = max(0.95 if bar is not None else 0.0, 0.4 + 0.075 * max(map(len, words))) if words else 0.0
@@ -83,7 +86,8 @@ def compose(
         total = (width + side + 0.16, height + top + 0.16)
         figure = Figure(figsize=total, dpi=DPI)
         canvas = FigureCanvasAgg(figure)
-        axes = figure.add_axes((0.08 / total[0], 0.08 / total[1], width / total[0], height / total[1]))
+        low = 0.08 + 0.5 * (height - drawn)
+        axes = figure.add_axes((0.08 / total[0], low / total[1], width / total[0], drawn / total[1]))
         axes.imshow(picture, interpolation="none", aspect="auto")
         axes.set_axis_off()
         if title:

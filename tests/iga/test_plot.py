@@ -10,7 +10,7 @@ from iga.conforming import Complex, boundary, straight_domain
 from iga.domain import Domain
 from iga.errors import InputError
 from iga.pictures import plot
-from iga.pictures.picture import trimmed
+from iga.pictures.picture import compose, trimmed
 from iga.pictures.skin import Cut, plane_of, tessellate
 
 
@@ -175,6 +175,18 @@ def test_up_axis_points_up(up, cut):
     assert (box[1] > box[0]).all()
     if cut is not None:
         assert direction @ plane_of(domain, cut).normal > 0.5
+
+
+@pytest.mark.parametrize("names", [3, 14])
+def test_flat_pictures_have_room_for_all_names(names):
+    """The boxes of all colours are in the legend, also where the solid is lower than its names."""
+    colours = [f"#{40 + 10 * k:02x}00ff" for k in range(names)]
+    flat = np.full((30, 400, 3), 100, dtype=np.uint8)
+    made = compose(flat, None, legend=[(f"side_{k}", colour) for k, colour in enumerate(colours)])
+    for colour in colours:
+        wanted = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+        assert (made == wanted).all(axis=-1).sum() > 300, colour
+    assert (made == 100).all(axis=-1).sum() > 0.9 * 30 * 400
 
 
 def test_unknown_up_axis_is_refused():

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from studies.cli import main
+from studies.cli import _show, main
 from studies.commands import settings_of
 
 BUILT = {"source", "input", "degree", "elements", "functions", "boundaries", "volume", "quality", "distance", "report",
@@ -105,13 +105,16 @@ def test_places_are_checked_before_the_work(
     def worked(*_: object, **__: object) -> None:
         raise AssertionError("the work began")
 
-    for name in ("geometry.build", "geometry.refine", "problems.solve_exact", "studies.describe.export"):
+    for name in ("geometry.build", "geometry.refine", "problems.solve_exact", "studies.describe.export",
+                 "studies.drawing.plot_domain"):
         monkeypatch.setattr(name, worked)
     missing = tmp_path / "no" / "x"
     assert "there is no folder" in refused(capsys, "build", "ball", "--source", "tets", "-o", missing)
     assert "there is no folder" in refused(capsys, "refine", ball, "-o", missing)
     assert "there is no folder" in refused(capsys, "export", ball, "-o", missing.with_suffix(".vtk"))
     assert "there is no folder" in refused(capsys, "solve", ball, "--heat", "--exact", "x", "-o", f"{missing}.vtu")
+    assert "there is no folder" in refused(capsys, "plot", ball, "-o", f"{missing}.png")
+    assert "end in .png" in refused(capsys, "plot", ball, "-o", tmp_path / "x.gif")
     assert "end in .vtu" in refused(capsys, "solve", ball, "--heat", "--exact", "x", "-o", tmp_path / "x.vtk")
 
 
@@ -168,6 +171,26 @@ def test_folded_solids_are_built_and_not_solved(tmp_path: Path, capsys: pytest.C
     assert len(found["folds"][0]["x"]) == 3
     assert "folded" in refused(capsys, "solve", path, "--heat", "--exact", "x")
     assert main(["solve", str(path), "--heat", "--exact", "x", "--allow-invalid"]) in (0, 1)
+
+
+def test_rows_of_a_report_have_names(capsys: pytest.CaptureFixture[str]) -> None:
+    """What a person sees of a list of rows says what its numbers are, also where a row lacks some."""
+    _show({"report": {"rounds": [{"stage": "first fit", "cells": 8, "away": 0.25}, {"stage": "end", "ended": "near"}]}})
+    assert capsys.readouterr().out.splitlines() == [
+        "report:", "  rounds:",
+        "    stage      cells  away  ended",
+        "    first fit  8      0.25",
+        "    end                     near",
+    ]  # fmt: skip
+    assert main(["sources"]) == 0
+    assert capsys.readouterr().out.startswith("nurbs     ")
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert stop.value.code == 0
+    assert capsys.readouterr().out.startswith("iga 0.")
 
 
 def test_help_is_there(capsys: pytest.CaptureFixture[str]) -> None:
