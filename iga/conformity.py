@@ -20,6 +20,7 @@ from iga.block import bezier_coefficients
 from iga.conforming import Complex, entity_keys
 from iga.domain import Domain, homogeneous
 from iga.errors import InputError
+from iga.sampling import bounding_box
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -71,7 +72,7 @@ def jumps(domain: Domain, mesh: Complex, samples: int = 4, seed: int = 20190) ->
     random = np.random.default_rng(seed)
     columns = np.column_stack([domain.points, random.uniform(-1.0, 1.0, domain.space.n)])
     nets = [bezier_coefficients(block, homogeneous(domain.space, columns)) for block in blocks]
-    diagonal = float(np.linalg.norm(np.ptp(domain.points, axis=0)))
+    diagonal = float(np.linalg.norm(np.ptp(bounding_box(domain), axis=0)))
     found: list[Jump] = []
     for size in (3, 4):
         sides = [

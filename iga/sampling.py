@@ -96,6 +96,18 @@ class Samples:
 Quantity = Array | Callable[[Samples], Array]
 
 
+def bounding_box(domain: Domain) -> Array:
+    """Lowest and highest coordinates (2, 3) of the vertices of all elements; control points may lie far outside."""
+    found = np.array([np.full(3, np.inf), np.full(3, -np.inf)])
+    for number, block in enumerate(domain.space.blocks):
+        for start in range(0, block.elements, PORTION):
+            elements = np.arange(start, min(start + PORTION, block.elements))
+            x = Samples(domain, number, elements, block.basis.cell.vertices).x.reshape(-1, 3)
+            found = np.array([np.minimum(found[0], x.min(axis=0)), np.maximum(found[1], x.max(axis=0))])
+    return found
+
+
+
 def weighted_coefficients(
     space: Space, block: int, coefficients: Array, elements: Index | slice = slice(None)
 ) -> tuple[Array, Array | None]:

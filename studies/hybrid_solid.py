@@ -34,7 +34,6 @@ from geometry.hybrid.skin import Skin, build_skin
 from iga.certificate import SIGN_ALONE, certify
 from iga.domain import Domain, counts
 from iga.pictures.plot import plot_domain
-from iga.pictures.skin import Cut
 from iga.progress import Progress
 from problems import solve_exact
 from studies.data import CAD
@@ -132,8 +131,7 @@ def _volume(domain: Domain) -> dict[str, Value]:
 
 
 def _draw(domain: Domain, path: Path) -> None:
-    # Along the plane itself: a thin solid may have no element wholly on one side.
-    plot_domain(domain, path, cut=Cut("y", smooth=True))
+    plot_domain(domain, path, cut="y")
 
 
 def _said(rows: list[dict[str, Value]]) -> str:

@@ -26,7 +26,7 @@ from iga.domain import Domain
 from iga.errors import InputError
 from iga.pictures.picture import Bar, compose, trimmed
 from iga.pictures.skin import Cut, Plane, Skin, faces, plane_of, tessellate
-from iga.sampling import named_quantities
+from iga.sampling import bounding_box, named_quantities
 
 Array = NDArray[np.float64]
 
@@ -186,7 +186,7 @@ def _warp(domain: Domain, warp: Any, scale: float | None) -> Array | None:
         raise InputError("a displacement must be given in the domain's own functions")
     if scale is None:
         largest = float(np.linalg.norm(moved, axis=1).max())
-        share = largest / float(np.ptp(domain.points, axis=0).max())
+        share = largest / float(np.ptp(bounding_box(domain), axis=0).max())
         scale = 1.0 if 0.03 <= share <= 0.3 or largest == 0.0 else 0.1 / share
     return moved * scale
 

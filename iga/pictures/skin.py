@@ -21,7 +21,7 @@ from iga.domain import Domain, Facets, Space
 from iga.errors import InputError
 from iga.facets import exposed, named
 from iga.field import Field
-from iga.sampling import Quantity, Samples, evaluate, subdivision
+from iga.sampling import Quantity, Samples, bounding_box, evaluate, subdivision
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -214,8 +214,7 @@ def plane_of(domain: Domain, cut: Cut | str | None) -> Plane | None:
         if normal.shape != (3,) or not 0.0 < np.linalg.norm(normal) < np.inf:
             raise InputError(f"the normal of a cut is three numbers, not all zero: {cut.normal!r}")
         normal = normal / np.linalg.norm(normal)
-    box = np.array([domain.points.min(axis=0), domain.points.max(axis=0)])
-    origin = box.mean(axis=0) if cut.origin is None else np.asarray(cut.origin, dtype=float)
+    origin = bounding_box(domain).mean(axis=0) if cut.origin is None else np.asarray(cut.origin, dtype=float)
     if origin.shape != (3,) or not np.isfinite(origin).all():
         raise InputError(f"the origin of a cut is a point with three coordinates: {cut.origin!r}")
     return Plane(normal, origin, cut.smooth)

@@ -12,6 +12,7 @@ from iga.errors import InputError
 from iga.pictures import plot
 from iga.pictures.picture import compose, trimmed
 from iga.pictures.skin import Cut, plane_of, tessellate
+from iga.sampling import bounding_box
 
 
 def grid(n=3, degree=2):
@@ -53,6 +54,16 @@ def test_cut_opens_a_closed_solid(smooth, height):
     winding = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     turned = (winding * skin.normals[skin.triangles[:, 0]]).sum(axis=1)
     assert (turned[skin.part == -1] > 0).all()
+
+
+def test_cuts_go_through_the_middle_of_the_solid_not_of_its_control_points():
+    """B-splines that a trimmed solid uses have control points far outside it."""
+    domain = grid(1)
+    points = domain.points.copy()
+    points[(points == [0.0, 0.0, 1.0]).all(axis=1), 2] += 30.0
+    far = Domain(domain.space, points, domain.boundaries)
+    np.testing.assert_allclose(bounding_box(far), [[-1.0] * 3, [1.0] * 3], atol=1e-14)
+    np.testing.assert_allclose(plane_of(far, "z").origin, 0.0, atol=1e-14)
 
 
 def test_all_cells_without_named_boundaries():
