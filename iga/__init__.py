@@ -6,7 +6,7 @@ The names below are the ones most programs use, from a domain to a solution. All
     block, domain, field, chunk             functions on elements, solids, fields, and elements at points
     conforming, refinement, conformity      meshes of mixed cells, finer ones, and what jumps between cells
     integrands, assembly, operator          forms, their sparse matrices, and products without a matrix
-    conditions, linear, norms               boundary values, solvers and eigenpairs, errors
+    conditions, nitsche, linear, norms      boundary values strong and weak, solvers and eigenpairs, errors
     certificate, scaled_jacobian            proofs of validity, measures of shape
     untangling, tether                      control points moved until elements are valid and well shaped
     locate, sampling, facets                elements of points, values at reference points, what lies outside

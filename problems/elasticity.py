@@ -23,12 +23,13 @@ from iga import integrands
 from iga.assembly import matrix, vector
 from iga.chunk import Chunk, chunks
 from iga.clock import Clock
-from iga.conditions import DependentTracesError, nitsche
+from iga.conditions import DependentTracesError
 from iga.domain import Domain
 from iga.errors import InputError
 from iga.field import Field
 from iga.integrands import InitialStrain, Load, Mass, Pressure
 from iga.linear.componentwise import componentwise
+from iga.nitsche import nitsche
 from iga.operator import operator
 from iga.sparsity import sparsity
 from problems.data import Datum, Sample, exclude, freeze, resolve, values

@@ -25,11 +25,12 @@ from scipy.sparse import csr_array
 
 from iga.assembly import matrix, vector
 from iga.clock import Clock
-from iga.conditions import DependentTracesError, nitsche
+from iga.conditions import DependentTracesError
 from iga.domain import Domain
 from iga.errors import InputError
 from iga.field import Field
 from iga.integrands import Diffusion, Load, Mass
+from iga.nitsche import nitsche
 from problems.data import Datum, Sample, depends_on_time, exclude, freeze, resolve, values
 from problems.material import checked, is_tensor
 from problems.rigid import parts_of

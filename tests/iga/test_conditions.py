@@ -8,13 +8,14 @@ import pytest
 from iga.assembly import matrix, vector
 from iga.cells import HEXAHEDRON, PYRAMID, TETRAHEDRON, WEDGE, Cell
 from iga.certificate import certify
-from iga.conditions import dirichlet, nitsche, trace_functions
+from iga.conditions import dirichlet, trace_functions
 from iga.conforming import straight_domain
 from iga.domain import Domain, Facets, facets_of
 from iga.errors import InputError
 from iga.field import Field
 from iga.integrands import Diffusion, Elasticity, Load, isotropic
 from iga.linear.solvers import solve
+from iga.nitsche import nitsche
 from iga.norms import errors
 from tests.meshes import bend, box_complex, mixed_complex
 from tests.splines import cube
