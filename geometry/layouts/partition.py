@@ -49,6 +49,8 @@ STEP = 0.5
 """Part of the way to the middle that corners move in a round."""
 LEVEL = 0.05
 """What an octree level costs when divisions are compared."""
+APART = 0.05
+"""Square of the least distance of two corners at the start, in half sides of the surface's box."""
 REWEIGHTING = 2
 """Rounds of reweighting in the steps that move corners and borders; without any, limbs draw patches together."""
 
@@ -181,7 +183,7 @@ def _extremes(surface: Surface, turn: bool = False) -> Index:
         height = local @ direction
         for v in chosen:
             # Keep away from corners that there are.
-            height = np.where(((local - local[v]) ** 2).sum(axis=1) < 0.05, -np.inf, height)
+            height = np.where(((local - local[v]) ** 2).sum(axis=1) < APART, -np.inf, height)
         chosen.append(int(np.argmax(height)))
     return np.array(chosen)
 

@@ -165,9 +165,9 @@ def read_bext(path: str | Path) -> Domain:
     if not lines or not lines[0].startswith(MAGIC):
         raise FormatError(f"{path}: the first line is not {MAGIC!r}")
     body = [line for line in lines[1:] if line.strip() and not line.startswith("$#")]
-    _, nodes, count, total, rational = _whole(path, body, 0, 5, "patch header")
+    _, nodes, count, total, rational = _whole(path, body, 0, 5, "patch header")[:5]
     places = _numbers(path, body[1 : 1 + nodes], 4 * nodes, "nodes").reshape(nodes, 4)
-    (blocks,) = _whole(path, body, 1 + nodes, 1, "number of element blocks")
+    blocks = _whole(path, body, 1 + nodes, 1, "number of element blocks")[0]
     heads = [_head(path, body, 2 + nodes + k, k) for k in range(blocks)]
     if sum(head[0] for head in heads) != count:
         raise FormatError(f"{path}: the blocks hold {sum(h[0] for h in heads)} elements; the patch header says {count}")
@@ -224,7 +224,7 @@ def _block(
 
 
 def _whole(path: Path, body: list[str], line: int, least: int, what: str) -> list[int]:
-    """Whole numbers of one line."""
+    """Whole numbers of one line, ``least`` of them or more."""
     try:
         found = [int(word) for word in body[line].split()]
     except IndexError:
@@ -233,7 +233,7 @@ def _whole(path: Path, body: list[str], line: int, least: int, what: str) -> lis
         raise FormatError(f"{path}: the {what} is not whole numbers: {body[line].strip()[:60]!r}") from None
     if len(found) < least or min(found) < 0:
         raise FormatError(f"{path}: the {what} needs {least} numbers: {body[line].strip()[:60]!r}")
-    return found if what.startswith("block") else found[:least]
+    return found
 
 
 def _head(path: Path, body: list[str], line: int, number: int) -> tuple[int, int, tuple[int, ...]]:

@@ -54,9 +54,3 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a text file, whole or not at all (UTF-8, ends of lines as given)."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="")
-
-
-def write_bytes(path: str | Path, data: bytes) -> None:
-    """Write a binary file, whole or not at all."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(data)
