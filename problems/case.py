@@ -12,7 +12,7 @@ Heat::
 
     [material]
     conductivity = 2.0                  # or a formula, an attribute, three rows of three numbers or formulas
-    capacity = 1.0                      # density times specific heat, for transient cases and modes
+    capacity = 1.0                      # density times specific heat, for transient cases and modes (default 1)
 
     [load]
     source = "10*sin(pi*x)"             # heat per volume
@@ -30,7 +30,7 @@ Heat::
     theta = 0.5                         # 0.5 (second order) to 1
     initial = 20                        # temperature at time 0
 
-    [modes]                             # instead: lowest eigenpairs
+    [modes]                             # instead: lowest eigenpairs, for elasticity squares of angular frequencies
     count = 6
 
 Elasticity::
@@ -41,7 +41,7 @@ Elasticity::
     E = 210e3
     nu = 0.3
     expansion = 1.2e-5                  # thermal strain per degree
-    density = 7.8e-9                    # for modes
+    density = 7.8e-9                    # for modes (default 1)
 
     [load]
     body_force = [0, 0, -9.81]
@@ -152,7 +152,7 @@ def make(table: Mapping[str, Any], domain: Domain) -> Case:
         known(conditions, keys["boundary"], f"[boundary.{name}]")
     if sections["transient"] and sections["modes"]:
         raise InputError("[transient] and [modes] exclude each other")
-    read_problem = read_heat if physics == "heat" else read_elasticity
+    variables = SPACE_TIME if "transient" in table else SPACE
     exact = table.get("exact")
     if exact is not None and not isinstance(exact, str):
         raise InputError("key 'exact' must be a formula in quotes")
@@ -161,10 +161,10 @@ def make(table: Mapping[str, Any], domain: Domain) -> Case:
     if solver not in solvers:
         raise InputError(f"solver {solver!r} is unknown; there are: {', '.join(solvers)}")
     return Case(
-        read_problem(sections, domain),
+        read_heat(sections, domain, variables) if physics == "heat" else read_elasticity(sections, domain),
         solver,
         positive_integer(table["quadrature"], "quadrature") if "quadrature" in table else None,
-        None if exact is None else parse_vector(exact, 1 if physics == "heat" else 3),
+        None if exact is None else parse_vector(exact, 1 if physics == "heat" else 3, variables),
         read_transient(sections["transient"], domain) if "transient" in table else None,
         positive_integer(sections["modes"].get("count", 6), "[modes] count") if "modes" in table else None,
     )
@@ -202,8 +202,8 @@ def mode_solution(domain: Domain, case: Case, physics: Any, points: int | None) 
 # --- the two physics -------------------------------------------------------------------------------------------------
 
 
-def read_heat(sections: Mapping[str, Any], domain: Domain) -> heat.Heat:
-    """Read the tables of a heat problem."""
+def read_heat(sections: Mapping[str, Any], domain: Domain, variables: tuple[str, ...]) -> heat.Heat:
+    """Read the tables of a heat problem; loads and conditions may vary with these variables."""
     of_material, load = sections["material"], sections["load"]
     data: dict[str, dict[str, Any]] = {"temperature": {}, "flux": {}, "convection": {}}
     for name, conditions in sections["boundary"].items():
@@ -215,10 +215,10 @@ def read_heat(sections: Mapping[str, Any], domain: Domain) -> heat.Heat:
                 known(value, KEYS["heat"]["convection"], where)
                 value = heat.Convection(
                     scalar(value["coefficient"], f"{where} coefficient", domain, SPACE),
-                    scalar(value.get("ambient", 0.0), f"{where} ambient", domain, SPACE_TIME),
+                    scalar(value.get("ambient", 0.0), f"{where} ambient", domain, variables),
                 )
             else:
-                value = scalar(value, where, domain, SPACE_TIME)
+                value = scalar(value, where, domain, variables)
             data[kind][name] = value
     conductivity = of_material.get("conductivity", 1.0)
     if isinstance(conductivity, list):
@@ -227,7 +227,7 @@ def read_heat(sections: Mapping[str, Any], domain: Domain) -> heat.Heat:
         conductivity = scalar(conductivity, "[material] conductivity", domain, SPACE)
     return heat.Heat(
         conductivity,
-        scalar(load.get("source", 0.0), "[load] source", domain, SPACE_TIME),
+        scalar(load.get("source", 0.0), "[load] source", domain, variables),
         data["temperature"],
         data["flux"],
         data["convection"],

@@ -141,7 +141,8 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
         energy += -float(u @ heating) + thermal_energy(domain, C, thermal, points)
     log = {**log, **clock.laps, "energy": energy, "weak": held is not problem.displacement}
     quantities = quantities_of(u.reshape(-1, 3), C, thermal)
-    reactions = system.reactions(u, held, points)
+    stress = quantities["stress"].evaluate
+    reactions = system.reactions(u, held, lambda chunk: traction_of(stress(chunk), chunk.normal), points)
     return Solution(domain, "elasticity", u.reshape(-1, 3), quantities, log, reactions)
 
 
@@ -278,6 +279,11 @@ def quantities_of(u: Array, C: Any, thermal: Any) -> dict[str, Quantity]:
         "stress": Quantity((6,), stress),
         "von_mises": Quantity((), lambda sample: von_mises(stress(sample))),
     }
+
+
+def traction_of(stress: Array, normal: Array) -> Array:
+    """Return the force per area (..., 3) of Voigt stresses (..., 6) on a surface with this normal (..., 3)."""
+    return (stress[..., [[0, 5, 4], [5, 1, 3], [4, 3, 2]]] @ normal[..., None])[..., 0]
 
 
 def von_mises(stress: Array) -> Array:

@@ -107,7 +107,9 @@ def solve(problem: Heat, domain: Domain, solver: str = "auto", points: int | Non
     clock.lap("solve_s")
     log = {**log, **clock.laps, "energy": 0.5 * float(u @ (K @ u)), "weak": held is not problem.temperature}
     quantities = quantities_of(u, conductivity)
-    return Solution(domain, "heat", u, quantities, log, system.reactions(u, held, points))
+    outward = quantities["heat_flux"].evaluate
+    reactions = system.reactions(u, held, lambda chunk: -(outward(chunk) * chunk.normal).sum(axis=-1), points)
+    return Solution(domain, "heat", u, quantities, log, reactions)
 
 
 def weakly(problem: Heat, domain: Domain, conductivity: Any, points: int | None) -> tuple[csr_array, Array]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from iga.assembly import matrix, vector
+from iga.chunk import Chunk
 from iga.conditions import dirichlet
 from iga.domain import Domain
 from iga.integrands import Load, Mass
@@ -53,26 +54,41 @@ class System:
         )
         return u, {"functions": self.domain.space.n, **asdict(log)}
 
-    def reactions(self, u: Array, held: Mapping[str, Any], points: int | None = None) -> dict[str, Any]:
+    def reactions(
+        self, u: Array, held: Mapping[str, Any], flux: Callable[[Chunk], Array], points: int | None = None
+    ) -> dict[str, Any]:
         """Return what each held boundary takes up: heat entering through it, or the force (3,) on the body.
 
-        ``held`` has the prescribed datum of each boundary. The reaction of a function on several of them is divided in
-        proportion to its integrals over them. Empty where the space has a constraint.
+        A function on one held boundary gives its whole reaction to that. Where several meet, each gets the integral of
+        the function times the solution's own flux, and what is left of the reaction, which vanishes as the mesh is
+        refined, is divided in proportion to the function's integrals. So the sum over boundaries is in balance with
+        the loads, and where the solution is exact each part is, too. Empty where the space has a constraint.
+
+        Parameters
+        ----------
+        held : the prescribed datum of each boundary.
+        flux : of a chunk of facets what enters per area, (e, q) or (e, q, 3).
         """
         if self.domain.space.constraint is not None or not held:
             return {}
-        residual = np.zeros_like(self.f)
-        residual[self.fixed] = (self.K @ u - self.f)[self.fixed]
-        residual = residual.reshape(-1, self.components)
-        shares = {}
+        c = self.components
+        left = np.zeros_like(self.f)
+        left[self.fixed] = (self.K @ u - self.f)[self.fixed]
+        left = left.reshape(-1, c)
+        parts, shares = {}, {}
         for name, datum in held.items():
             area = np.maximum(vector(self.domain, Load(1.0), points, boundary=name), 0.0)
-            parts = datum if isinstance(datum, tuple | list) else (0.0,) * self.components
-            shares[name] = area[:, None] * np.array([part is not None for part in parts])
+            components = datum if isinstance(datum, tuple | list) else (0.0,) * c
+            prescribed = np.array([component is not None for component in components])
+            entering = vector(
+                self.domain, lambda chunk: Load(flux(chunk), c)(chunk), points, components=c, boundary=name
+            )
+            parts[name], shares[name] = entering.reshape(-1, c) * prescribed, area[:, None] * prescribed
+            left -= parts[name]
         total = sum(shares.values())
-        rate = np.divide(residual, total, out=np.zeros_like(residual), where=total > 0)
-        forces = {name: (rate * share).sum(axis=0) for name, share in shares.items()}
-        return {name: float(force[0]) if self.components == 1 else force for name, force in forces.items()}
+        rate = np.divide(left, total, out=np.zeros_like(left), where=total > 0)
+        forces = {name: (parts[name] + rate * shares[name]).sum(axis=0) for name in held}
+        return {name: float(force[0]) if c == 1 else force for name, force in forces.items()}
 
 
 def prescribed(

@@ -89,6 +89,18 @@ def test_uniaxial_tension() -> None:
     np.testing.assert_allclose(solution.reactions["y0"], 0, atol=1e-12)
 
 
+def test_reactions_of_boundaries_that_meet() -> None:
+    """Held all round and swollen evenly: each side of the box takes up 2.5 times its area, none of its neighbours'."""
+    every = {name: parse_vector("x; y; z") for name in ("x0", "x1", "y0", "y1", "z0", "z1")}
+    sides = (1.0, 2.0, 3.0)
+    domain = box((2, 2, 2), 2, sides)
+    found = elasticity.solve(Elasticity(isotropic(1.0, 0.3), displacement=every), domain).reactions
+    for axis, name in enumerate("xyz"):
+        force = np.eye(3)[axis] * 2.5 * np.prod(sides) / sides[axis]
+        np.testing.assert_allclose(found[f"{name}1"], force, atol=1e-10)
+        np.testing.assert_allclose(found[f"{name}0"], -force, atol=1e-10)
+
+
 def test_pressure_on_all_sides_compresses() -> None:
     held = {"x0": (0.0, None, None), "y0": (None, 0.0, None), "z0": (None, None, 0.0)}
     problem = Elasticity(STEEL, displacement=held, pressure={"?1": 3.0})

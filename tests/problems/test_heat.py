@@ -82,6 +82,15 @@ def test_heat_is_balanced() -> None:
     assert solution.reactions["x0"] + exchanged + 1.5 + 0.5 == pytest.approx(0.0, abs=1e-12)
 
 
+def test_reactions_of_boundaries_that_meet() -> None:
+    """All sides held at 1 + x: the heat comes in at x1 and leaves at x0; with a source all leaves, in balance."""
+    held = {name: parse("1 + x") for name in ("x0", "x1", "y0", "y1", "z0", "z1")}
+    found = heat.solve(Heat(2.0, temperature=held), box((3, 2, 2), 2)).reactions
+    assert found == pytest.approx({"x0": -2.0, "x1": 2.0, "y0": 0.0, "y1": 0.0, "z0": 0.0, "z1": 0.0}, abs=1e-12)
+    found = heat.solve(Heat(2.0, 6.0, temperature=dict.fromkeys(held, 0.0)), box((3, 2, 2), 2)).reactions
+    assert sum(found.values()) == pytest.approx(-6.0, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("problem", "words"),
     [
