@@ -18,6 +18,8 @@ from iga.errors import FormatError
 Array = NDArray[np.float64]
 Label = Callable[[Any], tuple[str, str]]
 """Name and colour of a face or solid."""
+SEWING = 1e-4
+"""Distance (millimetres) within which edges of loose faces are one."""
 
 
 def where_open(shape: Any) -> str:
@@ -184,7 +186,7 @@ def read_iges(path: Path) -> tuple[Any, Label]:
         raise FormatError(f"{path}: Open CASCADE finds no shape in this IGES file")
     if not explore(shape, "SOLID"):
         # IGES mostly holds loose faces: sew them.
-        sewing = BRepBuilderAPI_Sewing(1e-4)
+        sewing = BRepBuilderAPI_Sewing(SEWING)
         sewing.Add(shape)
         sewing.Perform()
         shells = [s for s in explore(sewing.SewedShape(), "SHELL") if s.Closed()]

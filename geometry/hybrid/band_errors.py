@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from geometry.cad.brep import surface_frame, surface_points
 from geometry.hybrid.hbrep import DEGREE, HybridFace, tensor_rows
-from geometry.hybrid.triangle import CURVE, Phi, Psi, make_phi, selection, triangle_map
+from geometry.hybrid.triangle import CURVE, Phi, Psi, make_phi, right_corner, selection, triangle_map
 from geometry.hybrid.trimming import Trimming
 from geometry.patch import Patch
 from iga.bernstein import bernstein
@@ -119,9 +119,8 @@ def triangle_error(
     start, end, step = start[curved], end[curved], step[curved]
     if not curved.any():
         return TriangleError(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2)))
-    rising = step[:, 0] * step[:, 1] > 0
-    q0 = np.where(rising[:, None], np.stack([start[:, 0], end[:, 1]], 1), np.stack([end[:, 0], start[:, 1]], 1))
-    forward = ~rising  # the leg at the start runs along xi: the segment begins at pa
+    q0 = right_corner(start, end)
+    forward = step[:, 0] * step[:, 1] <= 0  # the leg at the start runs along xi: the segment begins at pa
     plane, space = (np.where(forward[:, None, None], c[curved], c[curved][:, ::-1]) for c in (trimming.plane,
                                                                                              trimming.space))
     maps = make_phi(q0, plane, phi)

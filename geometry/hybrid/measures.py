@@ -75,7 +75,7 @@ def measure(
     bad = table.folded.copy()
     bad[straight.element[pairs.ravel()]] = True
     report = _report(brep, made, meshes, table, straight, pairs, bad)
-    reach = np.maximum(tolerance * brep.diagonal, 2.0 * _beside_edges(made, off))  # the edge is half way between faces
+    reach = np.maximum(tolerance * brep.diagonal, 2.0 * beside_edges(made, off))  # the edge is half way between faces
     return report, _finer(made, table, straight, bad, reach)
 
 
@@ -200,7 +200,7 @@ def _pieces(made: Assembled, some: Mask) -> Index:
     return made.curves[np.isin(curves, np.concatenate(keys))]
 
 
-def _beside_edges(made: Assembled, off: Array) -> Array:
+def beside_edges(made: Assembled, off: Array) -> Array:
     """For each element (e,) the largest value of an edge at which it has a vertex, from those of all edges."""
     ends, edge = made.curves[:, :2], made.curves[:, 2]
     at = np.zeros(made.vertices)

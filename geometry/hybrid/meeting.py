@@ -71,7 +71,7 @@ def met(brep: Brep, off: Array) -> Brep:
         ends = np.array(places[v])
         x = vertices[v][None]
         for _ in range(ROUNDS):
-            x = x + _step(*_vertex_feet(brep, uses[v], x, ends))
+            x = x + closing_moves(*_vertex_feet(brep, uses[v], x, ends))
         vertices[v] = x[0]
     edges = list(brep.edges)
     for e, edge in enumerate(edges):
@@ -88,7 +88,7 @@ def _moved(brep: Brep, number: int, away: Array) -> Edge:
     def points(t: Array) -> Array:
         x = curve_points(edge.curve, t) + (1.0 - t)[:, None] * away[0] + t[:, None] * away[1]
         for _ in range(ROUNDS):
-            x = x + _step(*_feet(brep, uses, x, t)[1:])
+            x = x + closing_moves(*_feet(brep, uses, x, t)[1:])
         return x
 
     breaks = np.unique(edge.curve.knots)
@@ -115,7 +115,7 @@ def _vertex_feet(brep: Brep, uses: list[tuple[int, int, int]], x: Array, ends: A
     return np.concatenate([gap for gap, _ in found]), np.concatenate([normal for _, normal in found])
 
 
-def _step(gap: Array, normal: Array) -> Array:
+def closing_moves(gap: Array, normal: Array) -> Array:
     """Shortest damped moves (q, 3) that close signed distances (f, q) along normals (f, q, 3)."""
     N, d = np.swapaxes(normal, 0, 1), gap.T
     A = np.einsum("qfc,qgc->qfg", N, N) + DAMP**2 * np.eye(N.shape[1])

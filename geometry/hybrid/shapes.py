@@ -76,7 +76,7 @@ def curved_difference(bend: float = 0.15) -> Brep:
 
     block = _bent_box(np.zeros(3), np.array([2.0, 1.6, 1.2]), bend)
     tool = _bent_box(np.array([0.9, 0.5, 0.45]), np.array([1.8, 1.6, 1.4]), 0.6 * bend)
-    return _one(BRepAlgoAPI_Cut(block, tool).Shape(), "curved_difference")
+    return united(BRepAlgoAPI_Cut(block, tool).Shape(), "curved_difference")
 
 
 def tetrapod(length: float = 2.0, radius: float = 0.5) -> Brep:
@@ -97,7 +97,7 @@ def tetrapod(length: float = 2.0, radius: float = 0.5) -> Brep:
             BRepPrimAPI_MakeCylinder(root, radius, length).Shape(), BRepPrimAPI_MakeSphere(turned, radius).Shape()
         ).Shape()
         made = capsule if made is None else BRepAlgoAPI_Fuse(made, capsule).Shape()
-    return _one(made, "tetrapod")
+    return united(made, "tetrapod")
 
 
 def bracket() -> Brep:
@@ -121,10 +121,11 @@ def bracket() -> Brep:
                  rod((30, 30, -1), up, 4, 12), box(42, 17, -1, 58, 23, 11), rod((42, 20, -1), up, 3, 12),
                  rod((58, 20, -1), up, 3, 12)):
         made = BRepAlgoAPI_Cut(made, part).Shape()
-    return _one(made, "bracket")
+    return united(made, "bracket")
 
 
-def _one(shape: Any, where: str) -> Brep:
+def united(shape: Any, where: str) -> Brep:
+    """Solid of an Open CASCADE shape, faces on one surface and edges on one curve joined."""
     from OCP.ShapeUpgrade import ShapeUpgrade_UnifySameDomain
 
     unify = ShapeUpgrade_UnifySameDomain(shape, True, True, False)

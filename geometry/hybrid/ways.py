@@ -57,7 +57,7 @@ def ways_of(shell: Shell, field: Field | None) -> Ways:
     """Paths along a field, or straight ones without."""
     w = directions(shell)
     edges, made = _edges(shell), creases(shell)
-    straight = bounded(shell.vertices, _meet(shell.vertices, w, _targets(shell)), edges)[:, None] * w
+    straight = bounded(shell.vertices, touching_balls(shell.vertices, w, _targets(shell)), edges)[:, None] * w
     if field is None:
         places = np.stack([shell.vertices, shell.vertices + straight], axis=1)
         return Ways(places, np.linalg.norm(straight, axis=1), straight, edges, made)
@@ -127,8 +127,8 @@ def bounded(vertices: Array, depth: Array, edges: Index) -> Array:
 
 
 @numba.njit(cache=True)
-def _meet(vertices, w, targets):  # type: ignore[no-untyped-def]
-    """Smallest D > 0 with |q - D w| = D over targets v + q in front of each vertex."""
+def touching_balls(vertices, w, targets):  # type: ignore[no-untyped-def]
+    """Radius D (v,) of the smallest ball |q - D w| = D through a target v + q in front of each vertex (v, 3)."""
     result = np.full(len(vertices), np.inf)
     for v in range(len(vertices)):
         a = w[v, 0] ** 2 + w[v, 1] ** 2 + w[v, 2] ** 2 - 1.0

@@ -19,7 +19,7 @@ from geometry.hybrid.compatible import compatible_cuts, crossings, line_cuts, wi
 from geometry.hybrid.cutting import joined
 from geometry.hybrid.facemesh import mesh_faces
 from geometry.hybrid.grid import followed
-from geometry.hybrid.measures import _beside_edges
+from geometry.hybrid.measures import beside_edges
 from geometry.hybrid.outline import FaceError, regions
 from geometry.hybrid.pieces import Pieces, cut_edges, divide_edges, least_pieces
 from geometry.hybrid.sealing import Sealed
@@ -181,7 +181,7 @@ def test_gaps_count_for_the_elements_at_their_edge() -> None:
     made = built()[1].made
     off = np.zeros(1 + int(made.curves[:, 2].max()))
     off[made.curves[3, 2]] = 0.25
-    found = _beside_edges(made, off)
+    found = beside_edges(made, off)
     at = set(made.curves[made.curves[:, 2] == made.curves[3, 2], :2].ravel().tolist())
     touching = [bool(at & set(own)) for part in made.parts for own in part.corners.tolist()]
     assert np.array_equal(found, np.where(touching, 0.25, 0.0))

@@ -11,7 +11,7 @@ from geometry.hybrid.fairing import fair_displacement, second_differences
 from geometry.hybrid.field import field_under, paths, skeleton
 from geometry.hybrid.layers import complete_with_layers, moved, traced, valid_layers
 from geometry.hybrid.refinement import refine
-from geometry.hybrid.ways import _meet, directions, ways_of
+from geometry.hybrid.ways import directions, touching_balls, ways_of
 from geometry.simplices.closest import closest
 from iga.assembly import integral, volume
 from iga.bernstein import bernstein, functions_at, greville
@@ -74,7 +74,7 @@ def test_layers_of_a_box_are_an_offset():
 def test_way_to_the_mid_structure_of_a_plate():
     """Between parallel planes a unit apart the ball that touches both has radius 1/2, from an edge as well."""
     far = np.stack(np.meshgrid(np.linspace(-2, 2, 41), np.linspace(-2, 2, 41), [1.0]), axis=-1).reshape(-1, 3)
-    found = _meet(np.zeros((2, 3)), np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 1.0]]), far)
+    found = touching_balls(np.zeros((2, 3)), np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 1.0]]), far)
     assert found == pytest.approx([0.5, 0.5], abs=1e-3)
 
 

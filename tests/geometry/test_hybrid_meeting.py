@@ -9,7 +9,7 @@ import pytest
 from geometry.cad.brep import Curve
 from geometry.cad.reading import read_cad
 from geometry.hybrid.curves import fit_cubics
-from geometry.hybrid.meeting import _step, edge_distances, met
+from geometry.hybrid.meeting import closing_moves, edge_distances, met
 from geometry.hybrid.shapes import SHAPES
 from geometry.hybrid.skin import build_skin
 
@@ -37,12 +37,12 @@ def test_step_closes_crossing_faces_and_halves_touching_ones() -> None:
     crossing = np.array([[[1.0, 0.0, 0.0]], [[0.6, 0.8, 0.0]]])
     d, x = np.array([[0.3], [-0.2]]), np.zeros((1, 3))
     for _ in range(6):
-        x = x + _step(d - np.einsum("fqc,qc->fq", crossing, x), crossing)
+        x = x + closing_moves(d - np.einsum("fqc,qc->fq", crossing, x), crossing)
     assert np.abs(np.einsum("fqc,qc->fq", crossing, x) - d).max() < 1e-7
     touching = np.array([[[0.0, 0.0, 1.0]], [[0.0, 0.0, 1.0]]])
     d, x = np.array([[1.0], [0.0]]), np.zeros((1, 3))
     for _ in range(6):
-        x = x + _step(d - np.einsum("fqc,qc->fq", touching, x), touching)
+        x = x + closing_moves(d - np.einsum("fqc,qc->fq", touching, x), touching)
     np.testing.assert_allclose(x, [[0.0, 0.0, 0.5]], atol=1e-9)
 
 

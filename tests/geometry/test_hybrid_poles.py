@@ -42,7 +42,7 @@ def _common(angle: float, height: float, centre: float = 0.0) -> Brep:
     box = BRepPrimAPI_MakeBox(gp_Pnt(-3, -3, height), gp_Pnt(3, 3, 3)).Shape()
     turned = BRepBuilderAPI_Transform(box, turn, True).Shape()
     made: Any = BRepAlgoAPI_Common(BRepPrimAPI_MakeSphere(1.0).Shape(), turned).Shape()
-    return shapes._one(made, "cap")
+    return shapes.united(made, "cap")
 
 
 def cone() -> Brep:
