@@ -39,6 +39,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.sparse import coo_array, csr_array, vstack
 
+from geometry.cad.brep import Face
 from geometry.hybrid.assembling import SIDES, TURNED, Assembled, Part
 from geometry.hybrid.extraction import blocks_of
 from geometry.hybrid.face_rows import NEAR, face_rows
@@ -93,58 +94,81 @@ class Sealed:
 
 def seal(solid: Splined, meshes: list[FaceMesh], made: Assembled) -> Sealed:
     """Functions and control points of the HB-rep on a skin."""
-    brep = solid.brep
     on_curve = _on_curves(made)
-    count = len(made.points)
-    trim = np.flatnonzero(on_curve)
-    rows, columns, values = [trim], [np.arange(len(trim))], [np.ones(len(trim))]
     done = on_curve.copy()
-    points = [made.points[trim]]
-    n = len(trim)
-    trim_number = np.cumsum(on_curve) - 1
-    adjust: list[csr_array] = []
-    splines: list[Patch | None] = []
-    numbers: list[Index | None] = []
+    trim = np.flatnonzero(on_curve)
+    count, n = len(made.points), len(trim)
+    rows, columns, values, points = [trim], [np.arange(n)], [np.ones(n)], [made.points[trim]]
+    faces: list[_Splines | None] = []
     for f, mesh in enumerate(meshes):
         if f in solid.without or mesh.grid is None or not len(mesh.quads):
-            splines.append(None)
-            numbers.append(None)
+            faces.append(None)
             continue
-        surface = on_lines(brep.faces[f].surface, mesh.grid.lines)
-        (b, i, own), masked = face_rows(brep.faces[f], surface, mesh, made, f, done, on_curve)
-        on_quad = np.zeros(count, dtype=bool)
-        for part in made.parts:
-            if part.block.basis is BICUBIC:
-                on_quad[part.block.dofs[part.owner == f]] = True
-        place, control = _merged(b, i, own, on_quad, surface)
-        keep = place[i] >= 0
-        rows.append(b[keep])
-        columns.append(n + place[i[keep]])
-        values.append(own[keep])
-        points.append(control)
-        splines.append(surface)
-        number = np.where(place < 0, -1, n + place)
-        numbers.append(number)
-        adjust.append(_adjusting(trim_number[masked[0]], number, masked, len(trim)))
-        n += len(control)
+        surface = on_lines(solid.brep.faces[f].surface, mesh.grid.lines)
+        own = _splines(solid.brep.faces[f], f, surface, mesh, made, done, on_curve, n)
+        faces.append(own)
+        rows.append(own.rows)
+        columns.append(own.columns)
+        values.append(own.values)
+        points.append(own.points)
+        n += len(own.points)
     rest = np.flatnonzero(~done)
-    own = _at_poles(solid, meshes, made, _matrix(rows, columns, values, count, n) @ np.concatenate(points), rest)
+    so_far = _matrix(rows, columns, values, count, n) @ np.concatenate(points)
     rows.append(rest)
     columns.append(n + np.arange(len(rest)))
     values.append(np.ones(len(rest)))
-    points.append(own)
+    points.append(_at_poles(solid, meshes, made, so_far, rest))
     n += len(rest)
     M = _matrix(rows, columns, values, count, n)
     M.eliminate_zeros()
     coefficients = np.concatenate(points)
     placed = replace(made, points=M @ coefficients)
     placed = replace(placed, parts=_measured(solid, meshes, placed))
-    for rows_ in adjust:
-        rows_.resize(rows_.shape[0], n)
-    between = vstack([csr_array((0, n)), *adjust], format="csr")
-    return Sealed(
-        placed, M, coefficients, len(trim), tuple(splines), tuple(numbers), on_curve, between, solid, tuple(meshes)
-    )
+    with_splines = [own for own in faces if own is not None]
+    for own in with_splines:
+        own.adjust.resize(own.adjust.shape[0], n)
+    adjust = vstack([csr_array((0, n)), *(own.adjust for own in with_splines)], format="csr")
+    splines = tuple(None if own is None else own.surface for own in faces)
+    numbers = tuple(None if own is None else own.number for own in faces)
+    return Sealed(placed, M, coefficients, len(trim), splines, numbers, on_curve, adjust, solid, tuple(meshes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Splines:
+    """Functions that the B-splines of one face become.
+
+    Attributes
+    ----------
+    surface : the face with the knots of its grid.
+    rows, columns, values : (k,) entries of M.
+    points : (m, 3) their coefficients.
+    number : (r,) function of each B-spline, -1 where it vanishes.
+    adjust : rows of `Sealed.adjust`, as many columns as there are functions so far.
+    """
+
+    surface: Patch
+    rows: Index
+    columns: Index
+    values: Array
+    points: Array
+    number: Index
+    adjust: csr_array
+
+
+def _splines(
+    face: Face, number: int, surface: Patch, mesh: FaceMesh, made: Assembled, done: Mask, on_curve: Mask, first: int
+) -> _Splines:
+    """Functions of a face, numbered from ``first`` on; Bernstein functions that get rows are marked ``done``."""
+    (b, i, own), masked = face_rows(face, surface, mesh, made, number, done, on_curve)
+    on_quad = np.zeros(len(made.points), dtype=bool)
+    for part in made.parts:
+        if part.block.basis is BICUBIC:
+            on_quad[part.block.dofs[part.owner == number]] = True
+    place, points = _merged(b, i, own, on_quad, surface)
+    keep = place[i] >= 0
+    numbers = np.where(place < 0, -1, first + place)
+    adjust = _adjusting((np.cumsum(on_curve) - 1)[masked[0]], numbers, masked, int(on_curve.sum()))
+    return _Splines(surface, b[keep], first + place[i[keep]], own[keep], points, numbers, adjust)
 
 
 def _adjusting(b: Index, number: Index, masked: tuple[Index, Index, Array], trim: int) -> csr_array:
