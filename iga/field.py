@@ -32,7 +32,9 @@ class Field:
 
 
 Coefficient = float | Array | Field | Callable[[Array], Array]
-"""A number, a constant array (tensor), a field, or a function of physical points (..., 3)."""
+"""A number, a constant array (tensor), a field, or a function of physical points (..., 3).
+
+Where a tensor is wanted, a field has its entries row by row: 9 of a conductivity, 36 of a stiffness."""
 
 
 def geometry(domain: Domain) -> Field:
@@ -79,6 +81,15 @@ def given(coefficient: float | Array | Callable[[Array], Array], x: Array) -> Ar
     values = np.asarray(coefficient(x), dtype=float)
     if values.shape[:2] != x.shape[:2] and values.shape != ():
         values = np.broadcast_to(values, (*x.shape[:2], *values.shape))
+    return values
+
+
+def as_tensors(values: Array, side: int) -> Array:
+    """Values (e, q, side^2) of a field as matrices (e, q, side, side), those with one component as numbers (e, q)."""
+    if values.ndim == 3 and values.shape[2] == 1:
+        return values[:, :, 0]
+    if values.ndim == 3 and values.shape[2] == side**2:
+        return values.reshape(*values.shape[:2], side, side)
     return values
 
 

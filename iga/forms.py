@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from iga.chunk import Chunk
 from iga.domain import Domain, homogeneous
 from iga.errors import InputError
-from iga.field import Coefficient, Field, given, require_finite
+from iga.field import Coefficient, Field, as_tensors, given, require_finite
 from iga.frame import Frame, interpolate
 from iga.integrands import VOIGT, Diffusion, Elasticity, Load, Mass, are_tensors
 from iga.kernels import metric
@@ -167,7 +167,7 @@ def terms(integrand: object, at: Site, work: Buffers) -> Iterator[tuple[int, int
     InputError : det J = 0 at a point where a gradient is needed; the element is named.
     """
     m = at.hi - at.lo
-    values = evaluate(_coefficient(integrand), at)
+    values = as_tensors(evaluate(_coefficient(integrand), at), 6 if isinstance(integrand, Elasticity) else 3)
     if isinstance(integrand, Mass):
         if values.ndim and values.shape not in (at.dx.shape, (1, 1)):
             raise NotSymmetricError

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from iga.chunk import Chunk
-from iga.field import Coefficient, evaluate
+from iga.field import Coefficient, as_tensors, evaluate
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class Diffusion:
 
     def __call__(self, chunk: Chunk) -> Array:
         """Local matrices (e, n, n)."""
-        k = evaluate(self.conductivity, chunk)
+        k = as_tensors(evaluate(self.conductivity, chunk), 3)
         G = chunk.G
         flux = G @ np.swapaxes(k, -1, -2) if are_tensors(k) else G * k[..., None, None]
         e, q, n, d = G.shape
@@ -85,7 +85,7 @@ class Elasticity:
 
     def __call__(self, chunk: Chunk) -> Array:
         """Local matrices (e, n*3, n*3)."""
-        D = evaluate(self.stiffness, chunk)
+        D = as_tensors(evaluate(self.stiffness, chunk), 6)
         B = strain_operator(chunk.G)
         stress = (D @ B) * chunk.dx[..., None, None]
         e, q, v, m = B.shape
@@ -101,7 +101,7 @@ class Mass:
 
     def __call__(self, chunk: Chunk) -> Array:
         """Local matrices (e, n*c, n*c)."""
-        rho = evaluate(self.density, chunk)
+        rho = as_tensors(evaluate(self.density, chunk), self.components)
         coupled = rho.ndim >= 2 and rho.shape[-2:] == (self.components,) * 2 and rho.shape != chunk.dx.shape
         left = np.swapaxes(chunk.N, 1, 2)
         if not coupled:
@@ -156,7 +156,7 @@ class InitialStrain:
 
     def __call__(self, chunk: Chunk) -> Array:
         """Local vectors (e, n*3)."""
-        D, eps = evaluate(self.stiffness, chunk), evaluate(self.strain, chunk)
+        D, eps = as_tensors(evaluate(self.stiffness, chunk), 6), evaluate(self.strain, chunk)
         stress = (D @ eps[..., None])[..., 0] * chunk.dx[..., None]
         return np.einsum("eqvm,eqv->em", strain_operator(chunk.G), stress, optimize=True)
 

@@ -25,7 +25,7 @@ from iga.chunk import Chunk, facet_chunks, rule_for
 from iga.conditions import Value, by_component, unclaimed
 from iga.domain import Domain, facets_of
 from iga.errors import InputError
-from iga.field import evaluate
+from iga.field import as_tensors, evaluate
 from iga.integrands import Diffusion, Elasticity, are_tensors, strain_operator
 from iga.linear.coarse_space import rigid_motions
 
@@ -121,13 +121,13 @@ def _flux(chunk: Chunk, physics: Diffusion | Elasticity) -> Array:
     """Operators S with S u the outward flux or the traction, (e, q, c, n*c)."""
     n = chunk.normal
     if isinstance(physics, Diffusion):
-        k = evaluate(physics.conductivity, chunk)
+        k = as_tensors(evaluate(physics.conductivity, chunk), 3)
         if are_tensors(k):
             direction = np.einsum("eqi,ij->eqj" if k.ndim == 2 else "eqi,eqij->eqj", n, k)
         else:
             direction = n * k[..., None]
         return (chunk.G @ direction[..., None])[..., 0][:, :, None, :]
-    D = evaluate(physics.stiffness, chunk)
+    D = as_tensors(evaluate(physics.stiffness, chunk), 6)
     zero = np.zeros(n.shape[:2])
     x, y, z = n[..., 0], n[..., 1], n[..., 2]
     # Traction n . sigma from the Voigt stress xx, yy, zz, yz, xz, xy.

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from iga.assembly import Integrand
 from iga.domain import Domain
 from iga.errors import InputError
+from iga.field import as_tensors
 from iga.forms import (
     NotSymmetricError,
     Site,
@@ -181,7 +182,7 @@ def _fill(
 
 def _stiffness(integrand: Elasticity, at: Site) -> Array:
     """Stiffness at the points of a site, (1, 1, 6, 6) or (m, q, 6, 6)."""
-    values = evaluate(integrand.stiffness, at)
+    values = as_tensors(evaluate(integrand.stiffness, at), 6)
     require_symmetric(values)
     return np.ascontiguousarray(values if values.ndim == 4 else values[None, None])
 

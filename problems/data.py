@@ -46,6 +46,8 @@ def freeze(datum: Any, t: float = 0.0) -> Any:
         return datum.at(t)
     if isinstance(datum, tuple | list):
         parts = [freeze(0.0 if part is None else part, t) for part in datum]
+        if any(isinstance(part, Field) for part in parts):
+            raise InputError("single components cannot be attributes here; give one attribute with all of them")
         if not any(callable(part) for part in parts):
             return np.array(parts, dtype=float)
         return lambda x: np.stack(

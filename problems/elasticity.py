@@ -97,7 +97,7 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
     InputError
         Unknown solver, or one without a matrix where one is needed. Unknown boundaries, conditions that exclude each
         other, a material that is not positive definite, supports that leave rigid motions free (they are named), or
-        single components or a field of materials where displacements can only be imposed weakly.
+        single components where displacements can only be imposed weakly.
     """
     if solver not in SOLVERS:
         raise InputError(f"elasticity has no solver {solver!r}; there are: {', '.join(SOLVERS)}")
@@ -118,7 +118,7 @@ def solve(problem: Elasticity, domain: Domain, solver: str = "auto", points: int
         springs, f = sliding if springs is None else springs + sliding, f + right
     require_supports(domain, fixed, springs)
     lean = _lean(domain, C, fixed, springs, solver)
-    K: Any = (operator if lean else matrix)(domain, stiffness_integrand(C), points, components=3)
+    K: Any = (operator if lean else matrix)(domain, integrands.Elasticity(C), points, components=3)
     thermal = thermal_strain(problem)
     if thermal is not None:
         heating = vector(
@@ -191,13 +191,6 @@ def require_supports(domain: Domain, fixed: NDArray[np.int64], springs: csr_arra
         raise InputError(f"the body can move freely: {free}; hold it by displacements or elastic supports")
 
 
-def stiffness_integrand(C: Any) -> Any:
-    """Return the integrand; fields (n, 36) are evaluated chunk by chunk."""
-    if isinstance(C, Field):
-        return lambda chunk: integrands.Elasticity(values(C, chunk, (6, 6)))(chunk)
-    return integrands.Elasticity(C)
-
-
 def support_matrix(problem: Elasticity, domain: Domain, points: int | None) -> csr_array | None:
     """Matrix (3n, 3n) of the elastic supports."""
     total = None
@@ -220,9 +213,6 @@ def weakly(
     data: Mapping[str, Any], domain: Domain, C: Any, points: int | None, normal: bool = False
 ) -> tuple[csr_array, Array]:
     """Matrix (3n, 3n) and vector (3n,) that impose displacements, or their normal parts, by Nitsche's method."""
-    if isinstance(C, Field):
-        kind = "a normal displacement" if normal else "a displacement on unclamped splines"
-        raise InputError(f"{kind} needs a material of numbers or formulas, not of attributes")
     frozen = {name: freeze_components(datum, 0.0) for name, datum in data.items()}
     return nitsche(domain, frozen, integrands.Elasticity(C), normal=normal, points=points)
 
@@ -302,7 +292,7 @@ def modes(
     clock = Clock()
     problem = resolved(problem, domain)
     C = checked(problem.stiffness, "stiffness", 6, domain)
-    K = matrix(domain, stiffness_integrand(C), points, components=3)
+    K = matrix(domain, integrands.Elasticity(C), points, components=3)
     springs = support_matrix(problem, domain, points)
     if problem.normal_displacement:
         sliding = weakly(problem.normal_displacement, domain, C, points, normal=True)[0]

@@ -28,7 +28,6 @@ from iga.clock import Clock
 from iga.conditions import DependentTracesError
 from iga.domain import Domain
 from iga.errors import InputError
-from iga.field import Field
 from iga.integrands import Diffusion, Load, Mass
 from iga.nitsche import nitsche
 from problems.data import Datum, Sample, depends_on_time, exclude, freeze, resolve, values
@@ -114,10 +113,8 @@ def solve(problem: Heat, domain: Domain, solver: str = "auto", points: int | Non
 
 def weakly(problem: Heat, domain: Domain, conductivity: Any, points: int | None) -> tuple[csr_array, Array]:
     """Matrix (n, n) and vector (n,) that impose the temperatures by Nitsche's method."""
-    physics = diffusion(conductivity)
-    if not isinstance(physics, Diffusion):
-        raise InputError("a temperature on unclamped splines needs a conductivity that is no field of tensors")
-    return nitsche(domain, {name: freeze(datum) for name, datum in problem.temperature.items()}, physics, points=points)
+    frozen = {name: freeze(datum) for name, datum in problem.temperature.items()}
+    return nitsche(domain, frozen, Diffusion(conductivity), points=points)
 
 
 def resolved(problem: Heat, domain: Domain) -> Heat:
@@ -153,22 +150,13 @@ def stiffness(
     problem: Heat, domain: Domain, conductivity: Any, points: int | None
 ) -> tuple[csr_array, csr_array | None]:
     """Return the matrices (n, n) of conduction and of convection (None without it)."""
-    K = matrix(domain, diffusion(conductivity), points)
+    K = matrix(domain, Diffusion(conductivity), points)
     exchange = None
     for name, convection in problem.convection.items():
         h = checked(convection.coefficient, f"convection coefficient on '{name}'", 1, domain)
         term = matrix(domain, Mass(h), points, boundary=name)
         exchange = term if exchange is None else exchange + term
     return K, exchange
-
-
-def diffusion(conductivity: Any) -> Any:
-    """Return the integrand; tensor fields are evaluated chunk by chunk."""
-    if isinstance(conductivity, Field) and is_tensor(conductivity):
-        return lambda chunk: Diffusion(values(conductivity, chunk, (3, 3)))(chunk)
-    if isinstance(conductivity, Field):
-        return Diffusion(Field(conductivity.space, conductivity.coefficients.reshape(-1)))
-    return Diffusion(conductivity)
 
 
 def load(problem: Heat, domain: Domain, points: int | None, t: float) -> Array:

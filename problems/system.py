@@ -20,6 +20,7 @@ from iga.assembly import matrix, vector
 from iga.chunk import Chunk
 from iga.conditions import dirichlet
 from iga.domain import Domain
+from iga.field import Field
 from iga.integrands import Load, Mass
 from iga.linear.eigen import eigenpairs
 from iga.linear.factorization import factorize
@@ -101,8 +102,8 @@ def prescribed(
 
 
 def freeze_components(datum: Any, t: float) -> Any:
-    """Freeze a datum at time t, keeping None for components that are free."""
-    if isinstance(datum, tuple | list) and any(part is None for part in datum):
+    """Freeze a datum at time t, keeping None for components that are free, and attributes for single ones."""
+    if isinstance(datum, tuple | list) and any(part is None or isinstance(part, Field) for part in datum):
         return tuple(None if part is None else freeze(part, t) for part in datum)
     return freeze(datum, t)
 

@@ -16,6 +16,7 @@ from iga.errors import InputError
 from iga.field import Field
 from iga.frame import specialised
 from iga.integrands import Diffusion, Elasticity, Load, Mass, isotropic
+from iga.operator import operator
 from iga.parallel import limited
 from tests.meshes import bend, box_complex, mixed_complex
 from tests.splines import cube
@@ -171,6 +172,17 @@ def test_a_form_without_symmetry_takes_the_reference() -> None:
     rho = np.array([[2.0, 0.5], [0.5, 1.0]])
     coupled = matrix(domain, Mass(rho, components=2))
     np.testing.assert_allclose(coupled.toarray(), np.kron(matrix(domain, Mass(1.0)).toarray(), rho), atol=1e-14)
+
+
+@pytest.mark.parametrize(("form", "tensor"), [(Diffusion, TENSOR), (Elasticity, VOIGT)])
+def test_fields_of_tensors_have_their_entries_row_by_row(form: type, tensor: np.ndarray) -> None:
+    domain = cube((2, 2, 2), (2, 2, 2))
+    field = Field(domain.space, np.tile(tensor.ravel(), (domain.space.n, 1)))
+    K = matrix(domain, form(tensor))
+    x = np.random.default_rng(67).normal(size=K.shape[0])
+    by_chunks = reference_matrix(domain, form(field), None, None, K.shape[0] // domain.space.n)
+    for found in (matrix(domain, form(field)), operator(domain, form(field)), by_chunks):
+        assert np.abs(found @ x - K @ x).max() < 1e-12 * np.abs(K @ x).max()
 
 
 def test_bad_data_is_named() -> None:

@@ -157,6 +157,7 @@ def test_nitsche_takes_conductivities_of_every_kind() -> None:
     for k in (
         2.0 * np.eye(3), lambda x: np.full(x.shape[:-1], 2.0), Field(domain.space, np.full(domain.space.n, 2.0)),
         lambda x: np.broadcast_to(2.0 * np.eye(3), (*x.shape, 3)),
+        Field(domain.space, np.tile(2.0 * np.eye(3).ravel(), (domain.space.n, 1))),
     ):
         for found, wanted in zip(nitsche(domain, {"boundary": 1.0}, Diffusion(k)), expected):
             assert np.abs(found - wanted).max() < 1e-11 * np.abs(wanted).max()

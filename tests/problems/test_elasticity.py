@@ -69,6 +69,23 @@ def test_attribute_as_modulus() -> None:
     assert elasticity.solve(problem, domain, points=6).errors(known.u).relative_h1 < 1e-12
 
 
+def test_attributes_of_single_components_and_where_only_the_normal_is_held() -> None:
+    """Uniaxial tension, whatever the way in which the supports and the material are given."""
+    domain = box((2, 2, 2), 2)
+    domain = replace(domain, attributes={"E": np.full(domain.space.n, 10.0), "zero": np.zeros(domain.space.n)})
+    zero = attribute(domain, "zero")
+    held = {"displacement": {"x0": (zero, None, None), "y0": (None, zero, None), "z0": (None, None, 0.0)}}
+    sliding = {"normal_displacement": {"x0": zero, "y0": 0.0, "z0": 0.0}}
+    for C in (STEEL, isotropic(attribute(domain, "E"), 0.3)):
+        for supports in (held, sliding):
+            solution = elasticity.solve(Elasticity(C, traction={"x1": (2.0, 0, 0)}, **supports), domain)
+            assert solution.errors(parse_vector("0.2*x; -0.06*y; -0.06*z")).l2 < 1e-12
+    clamped = elasticity.solve(Elasticity(STEEL, displacement={"x0": (zero, zero, 0.0)}), domain)
+    assert np.abs(clamped.coefficients).max() < 1e-14
+    with pytest.raises(InputError, match="single components cannot be attributes"):
+        elasticity.solve(Elasticity(STEEL, traction={"x1": (zero, 0.0, 0.0)}, **held), domain)
+
+
 def test_rates_with_all_conditions() -> None:
     known = manufactured.elasticity("sin(2*x)*y; cos(y)*exp(0.5*z); x*z**2 + sin(y)", STEEL)
     errors = [elasticity.solve(mixed(known, STEEL), bent_box(n, 2)).errors(known.u) for n in (2, 4, 8)]
