@@ -105,8 +105,8 @@ def cut_out(face: Face, rings: list[list[int]], places: Array, leaving: Sides) -
             if a != b and left.pop((a, b), None) is None:
                 way = places[i] - places[j]
                 d = int(np.abs(way).argmax())
-                along = np.sign(way[d]) * (du, dv)[d]
-                left[b, a] = (along[j], along[i])
+                sign, along = np.sign(way[d]), (du, dv)[d]
+                left[b, a] = (sign * along[j], sign * along[i])
         first += size
     return left
 
