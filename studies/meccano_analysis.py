@@ -140,7 +140,7 @@ def run(size: Size, progress: Progress) -> Result:
 
 
 def _star() -> Domain:
-    return domain_of(star(10, 0.1), Settings(tolerance=0.02, max_cells=60, rounds=0))
+    return domain_of(star(10, 0.1), Settings(tolerance=0.02, max_cells=60, rounds=0, off="keep"))
 
 
 def _layer(rounds: int, progress: Progress) -> tuple[list[dict[str, Value]], tuple[Domain, Array]]:

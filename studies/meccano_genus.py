@@ -70,13 +70,13 @@ FILES = ("bob_small.ply", "kitten.off", "eight.off", "idler_riser.stl", "fertili
 def run(size: Size, progress: Progress) -> Result:
     """Build all models in both kinds."""
     jobs: list[tuple[str, Callable[[], Surface], Settings, Settings]] = [(
-        "torus", lambda: torus(32, 14), Settings(tolerance=0.015, max_cells=1200),
+        "torus", lambda: torus(32, 14), Settings(tolerance=0.015, max_cells=1200, off="keep"),
         Settings(space="t-spline", tolerance=0.03),
     )]  # fmt: skip
     there = [SURFACES / name for name in FILES if (SURFACES / name).is_file()] if size == "full" else []
     for path in there:
         paper = Settings(space="t-spline", tolerance=0.01)
-        jobs.append((path.name, partial(surface_of, path), Settings(tolerance=0.006), paper))
+        jobs.append((path.name, partial(surface_of, path), Settings(tolerance=0.006, off="keep"), paper))
     rows: list[dict[str, Value]] = []
     shown: list[tuple[str, dict[str, Domain]]] = []
     for name, read, pillowed, paper in progress.track(jobs, "solids with holes"):

@@ -11,6 +11,7 @@ cells with a scaled Jacobian below one half, and the difference of volumes.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -86,7 +87,7 @@ def surface_of(path: Path, mend: bool = False) -> Surface:
 def _row(name: str, surface: Callable[[], Surface], settings: Settings) -> tuple[dict[str, Value], Domain | None]:
     began = perf_counter()
     try:
-        domain = domain_of(surface(), settings, name)
+        domain = domain_of(surface(), replace(settings, off="keep"), name)
     except InputError as error:
         return {"model": name, "verdict": f"refused: {error}", "seconds": perf_counter() - began}, None
     proof = quality(domain)

@@ -52,6 +52,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+WITHIN, CELLS, ROUNDS = "within the tolerance", "cells spent", "rounds spent"
+"""How growth ends."""
+
 _SPACING = 0.01
 """Of the samples of the surface at which errors are measured, in diagonals."""
 
@@ -97,7 +100,7 @@ def solid_of(
     task = replace(task, aims=aims)
     state = _finished(task, state)
     note("fitting", state)
-    history[-1]["ended"] = ended if state.excess(aims) else "within the tolerance"
+    history[-1]["ended"] = ended if state.excess(aims) else WITHIN
     return state.solid, history
 
 
@@ -122,10 +125,10 @@ def _grown(task: Task, state: State, start: Hierarchy, note: Callable[[str, Stat
         if not len(marks):
             break
         if step == task.aims.rounds:
-            return state, "rounds spent"
+            return state, ROUNDS
         finer = _finer(state.solid, marks, task.aims)
         if finer is None:
-            return state, "cells spent"
+            return state, CELLS
         state = measured(task, finer)
     return state, ""
 

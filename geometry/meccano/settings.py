@@ -24,6 +24,7 @@ class Settings:
     space: str = "optimal"
     tolerance: float | None = None
     max_cells: int = 10000
+    off: str = "refuse"
     stretch: float = 10.0
     share: float = 0.25
     rounds: int = 14
@@ -60,6 +61,7 @@ RULES = {
     "space": word("optimal", "t-spline"),
     "tolerance": optional(real(0.0, 1.0, ends=False)),
     "max_cells": whole(),
+    "off": word("refuse", "keep"),
     "stretch": real(1.0, math.inf, ends=False),
     "share": real(0.0, 0.5, ends=False),
     "rounds": whole(),

@@ -10,6 +10,8 @@ Input is an STL, OBJ, OFF or PLY file, or the name of a shape: "ball", "star" or
     tolerance   distance from the surface, relative to its diagonal (default 0.004; 0.005 for the paper's solids, where
                 it steers the tetrahedra, and needing more than max_cells cells is refused)
     max_cells   most cells of the T-mesh (default 10000)
+    off         what becomes of a solid that these cells, or the rounds, do not bring within the tolerance: "refuse"
+                (default), or "keep", as it is, certified and with its distance in the report
     stretch     area of the surface per area of a side up to which limbs may be laid small (default 10)
     share       thickness of the pillow, as a part of a block (default 0.25)
     rounds      most rounds of refinement (default 14)
@@ -50,7 +52,7 @@ from geometry.layouts.voxels import cuboids
 from geometry.meccano.adaptation import Measure
 from geometry.meccano.domain import build_domain, refine_domain
 from geometry.meccano.errors import tessellation
-from geometry.meccano.growth import solid_of
+from geometry.meccano.growth import CELLS, WITHIN, solid_of
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.paper import Kind, Remedy, boundary_triangles, paper_solid
 from geometry.meccano.settings import NAME, Settings, parse
@@ -140,13 +142,25 @@ def domain_of(
     skin = tessellation(solid.skin, solid.points)
     report["distance"] = distances(surface, *skin)
     clock.lap("distance")
+    ended = history[-1]["ended"]
+    if ended != WITHIN and settings.off == "refuse":
+        raise InputError(
+            f"{source or 'the surface'}: the solid is {report['distance']['relative']:.1e} of the diagonal off where "
+            f"{settings.aim:g} is wanted, when {_spent(ended, settings)}; give more, or a larger tolerance, or take it "
+            "as it is with off=keep"
+        )
     report |= {
         "blocks": len(blocks.corners), "cells": solid.space.tmesh.cells, "surface_volume": volume(surface),
         "levels": np.bincount(solid.space.tmesh.level).tolist(), "rounds": history, "seconds": clock.laps,
-        "ended": history[-1]["ended"], "within_tolerance": bool(report["distance"]["relative"] <= settings.aim),
+        "ended": ended, "within_tolerance": bool(report["distance"]["relative"] <= settings.aim),
         "uncertified_cells": np.sort(solid.invalid).tolist(),
     }
     return build_domain(solid.space, solid.points, Provenance(NAME, source, vars(settings).copy()), report)
+
+
+def _spent(ended: str, settings: Settings) -> str:
+    """What growth stopped at, in words."""
+    return f"{settings.max_cells} cells are spent" if ended == CELLS else f"{settings.rounds} rounds are spent"
 
 
 def _as_paper(

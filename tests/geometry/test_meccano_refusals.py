@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,8 @@ CASES = {
     "a cube for a torus": (holed, ["meccano=cube"], "genus"),
     "a pillowed cube for a torus": (holed, ["meccano=pillowed"], "genus"),
     "too many cells": (whole, ["meccano=cube", "tolerance=0.02", "max_cells=20"], "more than the limit of 20"),
+    "pillowed, too many cells": (whole, ["tolerance=0.001", "max_cells=60"], "wanted, when 60 cells are spent"),
+    "too few rounds": (whole, ["tolerance=0.001", "max_cells=500", "rounds=0"], "wanted, when 0 rounds are spent"),
 }  # fmt: skip
 
 
@@ -115,3 +118,13 @@ def test_wholly_inside_out_surfaces_are_turned_and_said(tmp_path: Path) -> None:
     surface, report = read_surface(write(tmp_path / "turned.off", right.points, right.triangles[:, ::-1]))
     assert "turned" in report
     assert volume(surface) == pytest.approx(volume(Surface(right.points, right.triangles)), rel=1e-12)
+
+
+def test_solids_that_are_off_are_kept_on_request(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = write(tmp_path / "surface.off", *whole()), tmp_path / "solid.npz"
+    sets = ["--set", "tolerance=0.001", "--set", "max_cells=60", "--set", "off=keep"]
+    assert main(["build", str(path), "--source", "meccano", *sets, "-o", str(out), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)["report"]
+    assert report["ended"] == "cells spent"
+    assert not report["within_tolerance"]
+    assert out.is_file()

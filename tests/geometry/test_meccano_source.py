@@ -59,7 +59,7 @@ def test_refinement_keeps_the_solid_also_through_a_file(solid, tmp_path):
 
 @pytest.mark.long
 def test_bumps_need_more_cells():
-    made = domain_of(star(24), Settings(max_cells=1500, tolerance=0.001, smoothing=0), "star")
+    made = domain_of(star(24), Settings(max_cells=1500, tolerance=0.001, smoothing=0, off="keep"), "star")
     assert (certify(made).verdict == 1).all()
     assert made.report["cells"] > 448
     assert made.report["distance"]["relative"] < 0.006
