@@ -19,6 +19,7 @@ from scipy.sparse import coo_array, csr_array
 
 from iga.chunk import Chunk, chunks, facet_chunks
 from iga.domain import Domain, Facets
+from iga.errors import InputError
 from iga.field import Coefficient, evaluate
 from iga.forms import NotSymmetricError, buffers, control_points, known, site, source, terms
 from iga.frame import Frame, Rows, add_matrices, distribute, frames
@@ -79,8 +80,13 @@ def reference_matrix(
     domain: Domain, integrand: Integrand, points: int | None, boundary: Boundary | None, components: int
 ) -> csr_array:
     """Assemble a matrix by calling the integrand on every chunk; parameters as in `matrix`."""
-    parts = ((unknowns(chunk.dofs, components), integrand(chunk)) for chunk in walk(domain, points, boundary))
-    return sum_of(parts, domain.space.n * components)
+
+    def parts() -> Iterator[tuple[Index, Array]]:
+        for chunk in walk(domain, points, boundary):
+            index = unknowns(chunk.dofs, components)
+            yield index, _of_shape(integrand(chunk), (*index.shape, index.shape[1]), "(e, n*c, n*c)")
+
+    return sum_of(parts(), domain.space.n * components)
 
 
 def sum_of(parts: Iterable[tuple[Index, Array]], size: int) -> csr_array:
@@ -131,9 +137,18 @@ def reference_vector(
     c = components
     result = np.zeros(domain.space.n * c)
     for chunk in walk(domain, points, boundary):
-        local = integrand(chunk)
-        result += np.bincount(unknowns(chunk.dofs, c).ravel(), local.ravel(), len(result))
+        index = unknowns(chunk.dofs, c)
+        local = _of_shape(integrand(chunk), index.shape, "(e, n*c)")
+        result += np.bincount(index.ravel(), local.ravel(), len(result))
     return result
+
+
+def _of_shape(local: Array, shape: tuple[int, ...], axes: str) -> Array:
+    """What an integrand gave for a chunk, or `InputError` if that is no array of this shape."""
+    if np.shape(local) != shape:
+        given = f"an array of shape {np.shape(local)}" if isinstance(local, np.ndarray) else type(local).__name__
+        raise InputError(f"an integrand gives {given} where {axes} = {shape} is needed")
+    return local
 
 
 def integral(

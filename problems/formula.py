@@ -145,6 +145,8 @@ def parse(text: str, variables: Sequence[str] = VARIABLES) -> Formula:
 
 def parse_vector(text: str, components: int = 3, variables: Sequence[str] = VARIABLES) -> Formula:
     """Read formulas separated by ``;``: shape () when one is asked for, (components,) otherwise."""
+    if not isinstance(text, str):
+        raise InputError(f"a formula is a text, not {text!r}")
     parts = text.split(";")
     if len(parts) != components:
         wanted = "one formula" if components == 1 else f"{components} formulas separated by ';'"

@@ -101,9 +101,13 @@ class Solution:
         Raises
         ------
         InputError
-            A point lies outside the domain; it is named.
+            Not three coordinates to a point, or a point lies outside the domain; it is named.
         """
-        sample = located(self.domain, np.asarray(points, dtype=float).reshape(-1, 3))
+        try:
+            places = np.asarray(points, dtype=float).reshape(-1, 3)
+        except (TypeError, ValueError):
+            raise InputError("points to probe are rows of three numbers, (k, 3)") from None
+        sample = located(self.domain, places)
         return self.quantity(name or self.unknown).evaluate(sample)
 
     def samples(self, name: str, points: int | None = None) -> Iterator[tuple[Array, Array, Array]]:
@@ -154,7 +158,7 @@ class Solution:
         """Return the numbers that ``iga solve --json`` prints; norms are None where no exact solution is known.
 
         ``h1_error`` is the L2 norm of the error's gradient and ``relative_h1_error`` divides it by that of the exact
-        gradient. ``extrema`` are over the quadrature points: of values, and of lengths for vectors.
+        gradient. ``extrema`` are over the quadrature points (inside elements): of values, and of lengths for vectors.
         """
         e = self.norms
         shown = [name for name in ("temperature", "displacement", "von_mises") if name in self.quantities]

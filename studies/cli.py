@@ -179,7 +179,9 @@ def _parser() -> argparse.ArgumentParser:
         top, "solve", commands.solve, "solve heat conduction or elasticity on a domain",
         'With --exact, a formula in x, y, z ("u;v;w" for elasticity), all data follow from it by exact\n'
         "differentiation and the errors are reported. A PROBLEM.toml names material, loads and one condition for\n"
-        "each boundary name or pattern; problems/examples has commented ones.",
+        "each boundary name or pattern; problems/examples has commented ones.\n\n"
+        "The answer's extrema are those at the Gauss points, which lie inside the elements: a stress that is largest\n"
+        "on the boundary is larger in the picture. Reactions are what each held boundary takes up.",
     )
     solve.add_argument("domain", metavar="DOMAIN.npz", help="as `iga build` writes it; `iga info` lists its boundaries")
     solve.add_argument("problem", nargs="?", metavar="PROBLEM.toml", help="problem file")

@@ -38,7 +38,9 @@ their trimming curves (``surfaces_volume``), says how well either is defined whe
 (``volume_spread``, relative), and what the volume is with the gaps between faces and edges closed (``closed_volume``;
 see `integrals`).
 
-The input is a STEP or IGES file, or the name of a shape (`shapes`). Boundaries carry the names of the CAD faces.
+The input is a STEP or IGES file, or the name of a shape: "ball", "curved_box", "curved_difference", "tetrapod",
+"bracket" or "lettered_plate". Boundaries carry the names of the CAD faces; ``cad_faces`` in the report counts a closed
+one, such as a whole cylinder, as the two halves in which it is worked on.
 """
 
 from __future__ import annotations

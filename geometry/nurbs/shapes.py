@@ -13,7 +13,7 @@ one is a third of an octant.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import comb
+from math import comb, prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ from geometry.patch import Patch, elevate, face_of, from_homogeneous, homogeneou
 from iga.errors import InputError
 
 Array = NDArray[np.float64]
+
+MAX_ENTRIES = 4e9
+"""Most entries of the tables of a patch: functions on an element times elements. More is a mistake in a setting."""
 
 
 def _positive(**measures: float) -> None:
@@ -92,6 +95,9 @@ def _uniform(patch: Patch, elements: int) -> Patch:
     """Cut each direction of a Bezier patch on [0, 1] into equal knot intervals."""
     if elements > 4096:
         raise InputError(f"{elements} elements in each direction are more than 4096")
+    entries = prod(elements * (q + 1.0) for q in patch.degree)
+    if entries > MAX_ENTRIES:
+        raise InputError(f"{elements} elements in each direction need {entries:.0e} table entries; take less")
     for axis in range(3):
         patch = insert(patch, axis, np.arange(1, elements) / elements)
     return patch

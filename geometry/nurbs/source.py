@@ -35,7 +35,7 @@ from geometry.knots import MAX_DEGREE
 from geometry.nurbs import geopdes, gismo, mfem
 from geometry.nurbs.domain import build_domain, from_arrays
 from geometry.nurbs.multipatch import Multipatch, Name, glue, refined
-from geometry.nurbs.shapes import SHAPES
+from geometry.nurbs.shapes import MAX_ENTRIES, SHAPES
 from geometry.parameters import Rule, parsed, real, whole
 from geometry.patch import Patch, elevate
 from iga.domain import Domain
@@ -118,7 +118,7 @@ def _refined(multipatch: Multipatch, levels: int, elevated: int, source: str) ->
         for elements, q in zip(p.elements, p.degree):
             size *= elements * 2**levels * (q + elevated + 1)
         entries += size
-    if entries > 4e9:
+    if entries > MAX_ENTRIES:
         raise InputError(f"{source}: refine={levels}, elevate={elevated} needs {entries:.0e} table entries; take less")
     return refined(multipatch, levels, elevated)
 

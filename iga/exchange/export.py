@@ -102,6 +102,7 @@ def write_vtk(path: str | Path, domain: Domain, fields: Mapping[str, Any] | None
     writer = vtkUnstructuredGridWriter()
     writer.SetInputData(linear_grid(domain, fields, pieces))
     writer.SetFileTypeToBinary()
+    writer.SetFileVersion(42)  # of VTK before 9: the layout of cells that all readers know
     writer.SetHeader("isogeometric domain, sampled")
     with replacing(path) as temporary:
         writer.SetFileName(str(temporary))

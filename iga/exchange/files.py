@@ -15,7 +15,7 @@ def require_place(path: str | Path, suffix: str = "") -> Path:
 
     Raises
     ------
-    InputError : the name has another suffix, the folder is missing, or a folder has this name.
+    InputError : the name has another suffix, the folder is missing, or a folder, device or pipe has this name.
     """
     path = Path(path)
     if suffix and path.suffix.lower() != suffix:
@@ -24,6 +24,8 @@ def require_place(path: str | Path, suffix: str = "") -> Path:
         raise InputError(f"{path}: there is no folder {path.parent}")
     if path.is_dir():
         raise InputError(f"{path}: is a folder, not a file")
+    if path.exists() and not path.is_file():  # a file would take the place of /dev/null itself
+        raise InputError(f"{path}: is a device or a pipe, not a file")
     return path
 
 

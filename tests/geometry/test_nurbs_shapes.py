@@ -164,6 +164,7 @@ def test_rates(name: str, degree: int, start: int, levels: int, cap: float) -> N
         ("cube", {"side": 0.0}, "side|length is 0"),
         ("cube", {"degree": 0}, "degree 0"),
         ("cube", {"elements": 100000}, "elements"),
+        ("cube", {"elements": "1e3"}, "1000 elements in each direction need 8e\\+09 table entries; take less"),
         ("cube", {"radius": 1.0}, "no parameter 'radius'; there are: elevate, degree, refine"),
         ("cube", {"degree": "three"}, "degree must be a whole number from 0 to 30, not 'three'"),
         ("torus", {"major": float("nan")}, "major must be a number, not nan"),

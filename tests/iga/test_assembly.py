@@ -185,6 +185,18 @@ def test_fields_of_tensors_have_their_entries_row_by_row(form: type, tensor: np.
         assert np.abs(found @ x - K @ x).max() < 1e-12 * np.abs(K @ x).max()
 
 
+def test_integrands_of_wrong_shapes_are_told() -> None:
+    domain = curved(HEXAHEDRON, 1)
+    for given, words in (
+        (lambda chunk: np.ones((3, 3)), r"shape \(3, 3\) where \(e, n\*c, n\*c\) = \(\d+, 8, 8\) is needed"),
+        (lambda chunk: None, "gives NoneType where"),
+    ):
+        with pytest.raises(InputError, match=words):
+            matrix(domain, given)
+    with pytest.raises(InputError, match=r"shape \(4,\) where \(e, n\*c\) = \(\d+, 24\) is needed"):
+        vector(domain, lambda chunk: np.ones(4), components=3)
+
+
 def test_bad_data_is_named() -> None:
     domain = cube((2, 2, 2), (2, 2, 2))
     with pytest.raises(InputError, match=r"not finite in element 4 of block 0 \(0\.5\d*, 0\.\d*, 0\.\d*\)$"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import meshio
 import numpy as np
 import pytest
 
@@ -182,6 +183,9 @@ def test_sampled_cells_fill_the_same_volume(tmp_path):
     exact = [1.0, 0.8 / 3.0, 0.35]
     for block, volume in enumerate(exact):
         assert abs(sizes[grid.cell_data["block"] == block].sum() - volume) < 1e-5, block
+    read = meshio.read(tmp_path / "mixed.vtk")
+    np.testing.assert_array_equal(np.concatenate(read.cell_data["element"]), 0)
+    np.testing.assert_allclose(read.point_data["z"].ravel(), read.points[:, 2], atol=1e-6)
 
 
 @pytest.mark.parametrize("cell", [TETRAHEDRON, HEXAHEDRON, WEDGE], ids=str)

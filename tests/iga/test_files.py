@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 import iga.progress
@@ -32,6 +34,14 @@ def test_full_disk_is_one_line(tmp_path):
         interrupted(path, OSError(28, "No space left on device"))
     assert path.read_text() == "old\n"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_devices_are_not_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="pipe: is a device or a pipe"):
+        write_text(pipe, "x")
+    assert pipe.is_fifo()
 
 
 def test_missing_folder_is_named(tmp_path):

@@ -113,6 +113,8 @@ def test_components_are_counted() -> None:
         parse_vector("x;y")
     with pytest.raises(InputError, match="column 5: unknown name 'q'"):
         parse_vector("x;y;q")
+    with pytest.raises(InputError, match="a formula is a text, not 3"):
+        parse_vector(3, 1)
 
 
 def test_variables_can_be_closed() -> None:

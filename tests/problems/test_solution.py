@@ -36,6 +36,9 @@ def test_probe() -> None:
     np.testing.assert_allclose(solution.probe(points), 1 + points @ [2, -3, 0.5], atol=1e-9)
     np.testing.assert_allclose(solution.probe(points, "heat_flux"), np.tile([-2, 3, -0.5], (12, 1)), atol=1e-8)
     assert solution.probe([0.5, 0.5, 0.5]).shape == (1,)
+    for given in ([0.1, 0.2], "middle", [[1.0, 2.0], [3.0]]):
+        with pytest.raises(InputError, match="rows of three numbers"):
+            solution.probe(given)
     with pytest.raises(InputError, match="outside"):
         solution.probe([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5]])
 
