@@ -15,6 +15,8 @@ Axis letters: q quadrilateral, t triangle, v vertex, c component, k pair.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,7 +36,7 @@ _LOWER, _ROUNDS = 0.7, 30
 _AROUND = np.array([0, 2, 3, 1])
 
 
-def apexes(vertices: Array, quads: Index, triangles: Index) -> tuple[Array, Array]:
+def apexes(vertices: Array, quads: Index, triangles: Index, faces: Sequence[str] = ()) -> tuple[Array, Array]:
     """Apex of a pyramid inside each quadrilateral of a closed surface.
 
     Parameters
@@ -42,6 +44,7 @@ def apexes(vertices: Array, quads: Index, triangles: Index) -> tuple[Array, Arra
     vertices : (v, 3)
     quads : (q, 4) in the order of the reference cell's vertices; third coordinate outwards.
     triangles : (t, 3) turned outwards.
+    faces : name of the CAD face of each quadrilateral, for messages.
 
     Returns
     -------
@@ -58,7 +61,7 @@ def apexes(vertices: Array, quads: Index, triangles: Index) -> tuple[Array, Arra
     area = np.linalg.norm(area_normal, axis=1)
     flat = np.flatnonzero(area <= 0.0)
     if len(flat):
-        raise InputError(f"quadrilateral {flat[0]} of the skin has no area between its vertices")
+        raise InputError(f"{_called(int(flat[0]), faces)} has no area between its vertices")
     inward = -area_normal / area[:, None]
     height = np.minimum(HEIGHT * np.sqrt(area), _by_angles(vertices, ring, triangles, centre, inward))
     skin = np.concatenate([triangles, ring[:, [0, 1, 2]], ring[:, [0, 2, 3]]])
@@ -78,10 +81,15 @@ def apexes(vertices: Array, quads: Index, triangles: Index) -> tuple[Array, Arra
         height[low] *= _LOWER
     else:
         raise InputError(
-            f"no pyramid fits on quadrilateral {int(low[0])} of the skin near {centre[low[0]].round(6).tolist()}: the "
-            "solid is too thin there for the size of the skin's elements"
+            f"no pyramid fits on {_called(int(low[0]), faces)} near {centre[low[0]].round(6).tolist()}: the solid is "
+            "too thin there for the size of the skin's elements"
         )
     return centre + height[:, None] * inward, height
+
+
+def _called(number: int, faces: Sequence[str]) -> str:
+    """A quadrilateral in messages."""
+    return f"quadrilateral {number} of the skin" + (f" ({faces[number]})" if faces else "")
 
 
 def lateral_triangles(quads: Index, top: Index) -> Index:

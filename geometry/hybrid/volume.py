@@ -83,7 +83,9 @@ def fill_skin(skin: Shell, limit: float = LIMIT) -> Filled:
     InputError : the skin is not closed or too coarse for straight elements, or the rest could not be filled.
     """
     quads, triangles = corners_of(skin, QUADRILATERAL), corners_of(skin, TRIANGLE)
-    tops, heights = apexes(skin.vertices, quads, triangles)
+    faces = [face for block, face in zip(skin.space.blocks, skin.face) if block.basis.cell is QUADRILATERAL]
+    names = [skin.names[f] for own in faces for f in own.tolist()]
+    tops, heights = apexes(skin.vertices, quads, triangles, names)
     top = len(skin.vertices) + np.arange(len(quads))
     pyramids = np.column_stack([quads[:, ON_QUAD[:4]], top]) if len(quads) else np.zeros((0, 5), dtype=np.int64)
     points = np.concatenate([skin.vertices, tops])

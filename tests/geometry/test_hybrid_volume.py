@@ -88,6 +88,14 @@ def test_pyramids_leave_room_in_a_thin_plate():
     assert (tops[:, 2] < 0.03).all()
 
 
+def test_a_plate_without_thickness_is_refused_by_its_face():
+    skin = spline_box(3, 2)
+    thin = replace(skin, points=skin.points * [1.0, 1.0, 1e-9], vertices=skin.vertices * [1.0, 1.0, 1e-9])
+    names = "|".join(SIDES)
+    with pytest.raises(InputError, match=rf"no pyramid fits on quadrilateral \d+ of the skin \(({names})\) near"):
+        fill_skin(thin)
+
+
 @pytest.mark.parametrize(("split", "degree"), [((F,) * 6, 3), (MIXED, 2), ((T,) * 6, 2)])
 def test_box_is_filled_exactly(split, degree):
     domain = complete(spline_box(2, degree, split))
