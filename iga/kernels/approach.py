@@ -11,8 +11,19 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from iga.kernels.inversion import ITERATIONS, evaluate, recentre
+from iga.kernels.inversion import ITERATIONS, STILL, evaluate, recentre
 from iga.kernels.options import PLAIN
+
+ATTEMPTS = 30
+"""Most dampings of one step, each four times the one before."""
+DAMPING, LEAST_DAMPING = 1e-6, 1e-12
+"""Damping at the start and after a release, and the least there is, in the trace of the second derivatives."""
+DIFFERENCE = 1e-6
+"""Step of the differences of slopes, in barycentric coordinates."""
+PULL = 1e-13
+"""Slope, in distances, from which on a coordinate is released: less is rounding."""
+INSIDE = 0.2
+"""How far the search starts from the nearest control point's place towards the centre."""
 
 
 @njit(**PLAIN)
@@ -103,9 +114,9 @@ def approach(nets, which, targets, exponents, scale, origin, centre, first, last
                 for i in range(variables):
                     if origin[i] == origin[v]:
                         degree += exponents[near, i]
-                bary[v] = centre[v] if s == 1 else 0.2 * centre[v] + 0.8 * exponents[near, v] / degree
+                bary[v] = centre[v] if s == 1 else INSIDE * centre[v] + (1.0 - INSIDE) * exponents[near, v] / degree
             held[:] = False
-            damping, released, residual = 1e-6, -1, np.inf
+            damping, released, residual = DAMPING, -1, np.inf
             for _ in range(ITERATIONS):
                 residual = _gradient(
                     P, W, target, exponents, scale, bary, powers, prefix, F, slopes, G, weights, gradient
@@ -120,21 +131,21 @@ def approach(nets, which, targets, exponents, scale, origin, centre, first, last
                     if not held[v]:
                         right[d] = gradient[reference[v]] - gradient[v]
                         moved[:] = bary
-                        moved[v] += 1e-6
-                        moved[reference[v]] -= 1e-6
+                        moved[v] += DIFFERENCE
+                        moved[reference[v]] -= DIFFERENCE
                         _gradient(P, W, target, exponents, scale, moved, powers, prefix, F, slopes, G, weights, other)
                         row = 0
                         for i in range(variables):
                             if reference[i] != i:
                                 if not held[i]:
                                     bend = other[i] - other[reference[i]] - gradient[i] + gradient[reference[i]]
-                                    H[row, d] += 0.5e6 * bend
-                                    H[d, row] += 0.5e6 * bend
+                                    H[row, d] += 0.5 / DIFFERENCE * bend
+                                    H[d, row] += 0.5 / DIFFERENCE * bend
                                 row += 1
                     d += 1
                 trace = abs(H[0, 0]) + abs(H[1, 1]) + abs(H[2, 2])
                 progress, bound, trial = False, -1, residual
-                for _attempt in range(30):
+                for _attempt in range(ATTEMPTS):
                     if not _descend(H, damping * trace, right, step):
                         damping = 4.0 * damping
                         continue
@@ -151,7 +162,7 @@ def approach(nets, which, targets, exponents, scale, origin, centre, first, last
                         size = max(size, abs(change[v]))
                         if bary[v] + reach * change[v] < 0.0:
                             reach, bound = bary[v] / -change[v], v
-                    if not size > 1e-15:
+                    if not size > STILL:
                         break
                     if bound >= 0 and bound == released and reach <= 0.0:
                         # The slope of what was just released points inside: so does a shorter step.
@@ -174,11 +185,11 @@ def approach(nets, which, targets, exponents, scale, origin, centre, first, last
                     released = -1
                     if bound >= 0:
                         held[bound] = True
-                    damping = max(damping / 16.0, 1e-12)
-                    if bound >= 0 or gain > 1e-15 * residual:
+                    damping = max(damping / 16.0, LEAST_DAMPING)
+                    if bound >= 0 or gain > STILL * residual:
                         continue
                 # Stationary: release the coordinate that the slope pulls inside most.
-                best, release = -1e-13 * residual, -1
+                best, release = -PULL * residual, -1
                 for v in range(variables):
                     if held[v] and gradient[v] - gradient[reference[v]] < best:
                         best, release = gradient[v] - gradient[reference[v]], v
@@ -186,7 +197,7 @@ def approach(nets, which, targets, exponents, scale, origin, centre, first, last
                     break
                 held[release] = False
                 released = release
-                damping = 1e-6
+                damping = DAMPING
             if residual < distance[m]:
                 distance[m] = residual
                 barycentric[m] = bary

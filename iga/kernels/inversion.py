@@ -15,6 +15,18 @@ from iga.kernels.options import PLAIN
 
 ITERATIONS = 60
 """Most Newton steps from one start; a handful suffices where the map is close to affine."""
+HALVINGS = 6
+"""Most halvings of a Newton step that does not bring the point nearer."""
+BEYOND = 0.3
+"""How far outside the cell a step may lead, in barycentric coordinates: polynomials mean little there."""
+BLOCKED = 1e-3
+"""A step that may only go this part of its way leads outside: the point is put back into the cell."""
+SINGULAR = 1e-7
+"""Determinant, in products of the columns' lengths, below which a step is damped."""
+DAMPING = 1e-10
+"""Damping of such steps, in the mean square of the Jacobian's columns."""
+STILL = 1e-15
+"""Steps in barycentric coordinates, and parts of a distance, that are rounding."""
 EXCLUDED, OPEN, FOUND, TESTED = -1, 0, 1, 2
 """What is known of a target in an element: not in it; nothing; where; nothing, and that tests cannot tell."""
 
@@ -232,15 +244,14 @@ def invert(
                 _directions(slopes, origin, J)
                 for c in range(3):
                     right[c] = -F[c]
-                if _solve(J, right, step) < 1e-7:
-                    _damped(J, F, 1e-10, normal, right, step)
-                # Not further than 0.3 outside the cell.
+                if _solve(J, right, step) < SINGULAR:
+                    _damped(J, F, DAMPING, normal, right, step)
                 reach = 1.0
                 _move(bary, step, origin, 1.0, moved)
                 for v in range(variables):
-                    if moved[v] < -0.3:
-                        reach = min(reach, max(0.0, (bary[v] + 0.3) / (bary[v] - moved[v])))
-                if reach < 1e-3:
+                    if moved[v] < -BEYOND:
+                        reach = min(reach, max(0.0, (bary[v] + BEYOND) / (bary[v] - moved[v])))
+                if reach < BLOCKED:
                     stuck += 1
                     if stuck > 1:
                         break
@@ -250,7 +261,7 @@ def invert(
                     residual = np.sqrt(F[0] ** 2 + F[1] ** 2 + F[2] ** 2) / w
                     continue
                 better = False
-                for _halving in range(6):
+                for _halving in range(HALVINGS):
                     _move(bary, step, origin, reach, moved)
                     w = evaluate(P, target, exponents, scale, moved, powers, prefix, G, slopes)
                     trial = np.sqrt(G[0] ** 2 + G[1] ** 2 + G[2] ** 2) / w
@@ -266,7 +277,7 @@ def invert(
                 bary[:] = moved
                 F[:] = G
                 residual = trial
-                if change < 1e-15 or residual == 0.0:
+                if change < STILL or residual == 0.0:
                     break
             lowest = bary.min()
             if lowest < 0.0:
