@@ -7,9 +7,9 @@ against the baseline; times belong to the machine and are not.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
+from iga.parallel import threads
 from iga.progress import Progress
 from studies import bench_cube
 from studies.figures import Series, convergence, drawing
@@ -29,6 +29,8 @@ COLUMNS = (
     Column("t_total", "time", "s"),
     Column("peak", "time", "MB", format=".0f"),
 )
+MOST_THREADS = 2
+"""Threads in use, so that times of machines compare."""
 SLOPES = (Slope("n_per_dir", "l2_error", ("problem", "mode", "p")),)
 SIZES: dict[str, dict[tuple[str, int], tuple[int, ...]]] = {
     "ci": {("heat", 2): (4, 6, 8), ("heat", 3): (4, 6, 8), ("elasticity", 2): (2, 4, 6)},
@@ -42,7 +44,7 @@ SIZES: dict[str, dict[tuple[str, int], tuple[int, ...]]] = {
 
 
 def run(size: Size, progress: Progress) -> Result:
-    """Run all problems, degrees, sizes and modes on all processors."""
+    """Run all problems, degrees, sizes and modes."""
     cases = [
         (problem, mode, p, n)
         for (problem, p), sizes in SIZES[size].items()
@@ -51,7 +53,7 @@ def run(size: Size, progress: Progress) -> Result:
     ]
     rows = []
     for problem, mode, p, n in progress.track(cases, "bench cube"):
-        found = bench_cube.run(problem, p, n, min(os.cpu_count() or 1, 2), mode)
+        found = bench_cube.run(problem, p, n, min(threads(), MOST_THREADS), mode)
         rows.append(
             {
                 "problem": problem, "mode": mode, "p": p, "n_per_dir": n, "ndofs": found["ndofs"],

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from iga.errors import ConvergenceError, InputError
+from iga.parallel import threads
 from iga.progress import choosing
 from studies import commands
 from studies.commands import Answer
@@ -261,7 +262,7 @@ def _bench(parser: argparse.ArgumentParser) -> None:
     hexes.add_argument("--stiffness", action="store_true", help="go on to the stiffness matrix")
     for made in (cube, hexes):
         made.add_argument(
-            "--threads", type=int, default=os.cpu_count() or 1, metavar="T", help="(default: one for each core)"
+            "--threads", type=int, default=threads(), metavar="T", help="(default: all that this process may use)"
         )
 
 
