@@ -76,11 +76,7 @@ def write_vtu(path: str | Path, domain: Domain, fields: Mapping[str, Any] | None
     writer.EncodeAppendedDataOff()
     writer.SetCompressorTypeToZLib()
     writer.SetCompressionLevel(2)
-    with replacing(path) as temporary:
-        writer.SetFileName(str(temporary))
-        if writer.Write() != 1 or writer.GetErrorCode() != 0:
-            raise InputError(f"{path}: cannot be written (is the disk full?)")
-    return path
+    return _written(writer, path)
 
 
 def write_vtk(path: str | Path, domain: Domain, fields: Mapping[str, Any] | None = None, pieces: int = 0) -> Path:
@@ -104,6 +100,11 @@ def write_vtk(path: str | Path, domain: Domain, fields: Mapping[str, Any] | None
     writer.SetFileTypeToBinary()
     writer.SetFileVersion(42)  # of VTK before 9: the layout of cells that all readers know
     writer.SetHeader("isogeometric domain, sampled")
+    return _written(writer, path)
+
+
+def _written(writer: Any, path: Path) -> Path:
+    """Let a VTK writer write a file, whole or not at all."""
     with replacing(path) as temporary:
         writer.SetFileName(str(temporary))
         if writer.Write() != 1 or writer.GetErrorCode() != 0:

@@ -107,22 +107,17 @@ def eigenpairs(
     # A Rayleigh quotient of each unknown's own function bounds the lowest eigenvalue from above.
     shift = -1e-3 * float((A.diagonal() / B.diagonal()).min()) / len(free) ** (2 / 3)
     if len(free) <= max(3 * count, DENSE):
-        values, X = eigh(A.toarray(), B.toarray(), subset_by_index=(0, count - 1))
+        X = eigh(A.toarray(), B.toarray(), subset_by_index=(0, count - 1))[1]
         name = "dense"
     elif solver == "lanczos" or (solver == "auto" and prefer_direct(A)):
-        values, X = _lanczos(A, B, count, shift, max_iterations)
-        _require_all(A, B, values, shift)
+        found, X = _lanczos(A, B, count, shift, max_iterations)
+        _require_all(A, B, found, shift)
         name = "lanczos"
     else:
-        shifted = csr_array(A - shift * B)
-        precondition = preconditioner_for(shifted, held, domain, constraint)
-        values, X = _lobpcg(A, B, count, precondition, tolerance, max_iterations)
+        precondition = preconditioner_for(csr_array(A - shift * B), held, domain, constraint)
+        X = _lobpcg(A, B, count, precondition, tolerance, max_iterations)
         name = "lobpcg"
-    # Orthonormal in M to rounding, also within clusters.
-    inner = np.linalg.cholesky(X.T @ (B @ X))
-    X = np.linalg.solve(inner, X.T).T
-    values, turn = np.linalg.eigh(X.T @ (A @ X))
-    X = X @ turn
+    values, X = _orthonormal(A, B, X)
     residuals = _residuals(A, B, values, X)
     worst = int(np.argmax(residuals))
     if not residuals[worst] <= tolerance:
@@ -130,6 +125,14 @@ def eigenpairs(
     full = np.zeros((K.shape[0], count))
     full[free] = X
     return Modes(values, full if T is None else T @ full, residuals, name)
+
+
+def _orthonormal(A: csr_array, B: csr_array, X: Array) -> tuple[Array, Array]:
+    """Eigenpairs in the span of X (n, m), orthonormal in B to rounding, also within clusters."""
+    inner = np.linalg.cholesky(X.T @ (B @ X))
+    Q = np.linalg.solve(inner, X.T).T
+    values, turn = np.linalg.eigh(Q.T @ (A @ Q))
+    return np.asarray(values, dtype=np.float64), np.asarray(Q @ turn, dtype=np.float64)
 
 
 def _lanczos(A: csr_array, B: csr_array, count: int, shift: float, most: int) -> tuple[Array, Array]:
@@ -149,8 +152,8 @@ def _lanczos(A: csr_array, B: csr_array, count: int, shift: float, most: int) ->
 
 def _lobpcg(
     A: csr_array, B: csr_array, count: int, precondition: Any, tolerance: float, most: int
-) -> tuple[Array, Array]:
-    """LOBPCG with a few guard vectors, which speed up the last wanted ones."""
+) -> Array:
+    """Vectors (n, count) by LOBPCG with a few guard vectors, which speed up the last wanted ones."""
     block = min(count + max(2, count // 3), A.shape[0] // 5)
     X = np.random.default_rng(20191).standard_normal((A.shape[0], block))
 
@@ -175,7 +178,7 @@ def _lobpcg(
         best = min(best, float(relative.max()))
         # Its own tolerance is on |K x - lambda M x| of modes of unit length in M.
         goal = 0.3 * tolerance * float(np.linalg.norm(absolute_product(A, np.ascontiguousarray(X[:, 0]))))
-    return values[:count], X[:, :count]
+    return X[:, :count]
 
 
 def _residuals(A: csr_array, B: csr_array, values: Array, X: Array) -> Array:
