@@ -73,7 +73,9 @@ _GROWTH = (1, 8, 20)
 
 
 def reads(path: str | Path) -> bool:
-    """Whether a file looks like a hexahedral mesh: by its ending, and by a word in it where endings are shared."""
+    """Whether a file holds a hexahedral mesh: by its ending and its cells. A shape's name is taken as well."""
+    if str(path) in SHAPES:
+        return True
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False

@@ -65,6 +65,7 @@ from geometry.hybrid.shell import Shell, shell_of
 from geometry.hybrid.skin import build_skin
 from geometry.hybrid.subdividing import refined, subdivided
 from geometry.hybrid.volume import complete
+from geometry.inputs import require_file
 from iga.cells import HEXAHEDRON
 from iga.domain import Domain, Provenance, with_report
 from iga.errors import InputError
@@ -79,7 +80,7 @@ FEW = 400
 
 def reads(path: str | Path) -> bool:
     """Whether a file is STEP or IGES, from its beginning."""
-    return Path(path).is_file() and bool(cad_format(path))
+    return str(path) in SHAPES or (Path(path).is_file() and bool(cad_format(path)))
 
 
 def build(path: str | Path, **parameters: Any) -> Domain:
@@ -98,7 +99,7 @@ def build(path: str | Path, **parameters: Any) -> Domain:
     settings = parse(parameters)
     text = str(path)
     began = perf_counter()
-    brep = SHAPES[text]() if text in SHAPES else read_cad(path, settings.solid)
+    brep = SHAPES[text]() if text in SHAPES else read_cad(require_file(path, SHAPES), settings.solid)
     read = perf_counter() - began
     domain = domain_of(brep, settings, text if text in SHAPES else Path(path).name, progress())
     return with_report(domain, stages={"read": read, **domain.report["stages"]})

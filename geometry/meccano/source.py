@@ -83,8 +83,8 @@ FINER = (8.0, 10.0, 12.0)
 
 
 def reads(path: str | Path) -> bool:
-    """Whether a file looks like a surface triangulation."""
-    return reading.reads(path)
+    """Whether a file looks like a surface triangulation. A shape's name is taken as well."""
+    return str(path) in SHAPES or reading.reads(path)
 
 
 def build(path: str | Path, **parameters: Any) -> Domain:

@@ -84,6 +84,15 @@ def read_tets(path: str | Path, tags: bool = True) -> TetMesh:
         raise InputError(f"{path}: {error}") from None
 
 
+def may_hold_tets(path: Path) -> bool:
+    """Whether a mesh file has tetrahedra, has no other solid cells, or cannot be read (as `read_tets` tells)."""
+    try:
+        kinds = {_kind(block.type) for block in _load(path).cells}
+    except InputError:
+        return True
+    return "tetra" in kinds or kinds.isdisjoint(("hexahedron", "wedge", "pyramid", "voxel", "polyhedron"))
+
+
 def _load(path: Path) -> meshio.Mesh:
     """Meshio's answer, or a FormatError, whatever meshio does."""
     require_file(path)

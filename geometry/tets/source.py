@@ -29,7 +29,7 @@ from geometry.inputs import require_file
 from geometry.parameters import optional, parsed, real, truth, whole, word
 from geometry.tets.domain import CONVERSIONS, SOURCE, as_degenerate_hexes, as_tets, domain_of
 from geometry.tets.mesh import TetMesh
-from geometry.tets.reader import SURFACES, extensions, read_tets
+from geometry.tets.reader import SURFACES, extensions, may_hold_tets, read_tets
 from geometry.tets.shapes import ball, cube
 from iga.domain import Domain
 from iga.errors import InputError
@@ -51,15 +51,17 @@ DEFAULTS: dict[str, Any] = {"convert": "none", "degree": None, "angle": None, "t
 
 
 def reads(path: str | Path) -> bool:
-    """Whether an input is a shape or looks like a volume mesh: by its ending, where that is shared by its content."""
+    """Whether an input is a shape or looks like a tet mesh: by its ending, and by its cells where others share that."""
     if str(path) in SHAPES:
         return True
     path = Path(path)
     ending = path.suffix.lower()
     if not path.name.lower().endswith(extensions()) or ending in SURFACES:
         return False
-    if ending not in (".mesh", ".xml") or not path.is_file():
+    if not path.is_file():
         return True
+    if ending not in (".mesh", ".xml"):
+        return may_hold_tets(path)
     content = path.read_bytes()
     return b"<dolfin" in content[:2000] if ending == ".xml" else b"Tetrahedra" in content
 

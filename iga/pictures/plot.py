@@ -30,13 +30,15 @@ from iga.sampling import bounding_box, named_quantities
 
 Array = NDArray[np.float64]
 
-# Paul Tol's light scheme: told apart by everybody, and light enough for dark edges on it.
+# Paul Tol's light scheme: told apart by everybody, and light enough for dark edges on it; four of his bright and muted
+# ones for solids with more boundaries.
 COLOURS = (
     "#77AADD", "#EE8866", "#EEDD88", "#FFAABB", "#44BB99", "#99DDFF", "#BBCC33", "#AAAA00", "#CC99BB", "#DDDDDD",
+    "#4477AA", "#AA4499", "#228833", "#CC6677",
 )  # fmt: skip
 EDGE = "#2b2b2b"
 LEGEND = 14
-"""Most names in a legend."""
+"""Most names in a legend, each with a colour of its own."""
 VIEWS = {"x": (0.85, 1.0, -1.5), "y": (1.0, 0.85, 1.5), "z": (1.0, -1.5, 0.85)}
 """Axes that point up in a picture, with the direction from the solid to the eye that goes with each."""
 
@@ -92,10 +94,15 @@ def plot_domain(
 
 
 def _part_colour(number: int, parts: int) -> str:
-    """Colour of a boundary by its number among so many; grey where there is no boundary (-1)."""
+    """Colour of a boundary by its number among so many, pale beyond the legend; grey where there is none (-1)."""
     if number < 0:
         return "#d4d4d4"
-    return "#a9c5e0" if parts == 1 else COLOURS[number % len(COLOURS)]
+    if parts == 1:
+        return "#a9c5e0"
+    colour = COLOURS[number % len(COLOURS)]
+    if number < LEGEND:
+        return colour
+    return "#" + "".join(f"{(int(colour[i : i + 2], 16) + 255) // 2:02x}" for i in (1, 3, 5))
 
 
 def plot_field(

@@ -6,6 +6,7 @@ import importlib
 from pathlib import Path
 from types import SimpleNamespace
 
+import meshio
 import numpy as np
 import pytest
 
@@ -24,7 +25,25 @@ def test_built_in_sources_come_first() -> None:
         assert not source.reads("no such file")
 
 
-@pytest.mark.parametrize("name", ["nurbs", "tets", "catmull_clark", "meccano"])
+def test_shapes_and_meshes_are_built_without_naming_a_source(tmp_path: Path) -> None:
+    """The first source that has the shape, or reads the cells of a file whose ending several know."""
+    def found(given: str | Path) -> str:
+        return next(name for name, source in geometry.sources().items() if source.reads(given))
+
+    shapes = {"ball": "nurbs", "fan_5": "catmull_clark", "star": "meccano", "bracket": "hybrid"}
+    assert {shape: found(shape) for shape in shapes} == shapes
+    points = np.array([*np.ndindex(2, 2, 2)], dtype=float)
+    for kind, cell, source in (
+        ("hexahedron", [0, 4, 6, 2, 1, 5, 7, 3], "catmull_clark"), ("tetra", [0, 4, 2, 1], "tets"),
+    ):  # fmt: skip
+        meshio.write_points_cells(tmp_path / f"{kind}.vtk", points, [(kind, np.array([cell]))])
+        assert found(tmp_path / f"{kind}.vtk") == source
+    (tmp_path / "cut_off.vtk").write_text("# vtk DataFile")
+    with pytest.raises(InputError, match=r"cut_off\.vtk: cannot be read as a mesh"):
+        geometry.build(tmp_path / "cut_off.vtk")
+
+
+@pytest.mark.parametrize("name", ["nurbs", "tets", "catmull_clark", "meccano", "hybrid"])
 def test_shapes_are_named_where_the_command_line_explains_a_source(name: str) -> None:
     """`iga sources NAME` prints the module's docstring."""
     module = importlib.import_module(f"geometry.{name}.source")

@@ -131,6 +131,13 @@ def test_machine_that_cannot_draw_says_so(monkeypatch):
         plot.plot_domain(grid(1, 1))
 
 
+def test_names_of_a_legend_have_colours_of_their_own():
+    """And none of them is used again where the legend has ended."""
+    assert len({plot._part_colour(k, 30) for k in range(plot.LEGEND + 4)}) == plot.LEGEND + 4
+    first = {plot._part_colour(k, 30) for k in range(plot.LEGEND)}
+    assert first.isdisjoint(plot._part_colour(k, 30) for k in range(plot.LEGEND, 30))
+
+
 def test_trimmed():
     picture = np.full((40, 50, 3), 255, dtype=np.uint8)
     assert trimmed(picture).shape == picture.shape
