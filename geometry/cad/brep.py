@@ -274,12 +274,12 @@ def check_brep(brep: Brep, where: str) -> None:
         if len(ways) != 2:
             raise InputError(f"{where}: the faces on both sides of edge {number} are oriented against each other")
     for face in brep.faces:
-        scale = max(float(np.ptp(k)) for k in face.surface.knots)
+        scale = np.array([np.ptp(k) for k in face.surface.knots])
         for loop in face.loops:
             ends = [(c.curve.control[-1], c.curve.control[0]) if c.reversed else (c.curve.control[0],
                     c.curve.control[-1]) for c in loop]
             for (_, end), (start, _) in zip(ends, ends[1:] + ends[:1]):
-                if np.abs(end - start).max() > 1e-3 * scale:
+                if (np.abs(end - start) > 1e-3 * scale).any():
                     raise InputError(f"{where}: {face.name} has a loop with a gap at (u, v) = {end.round(6).tolist()}")
     gap = sealing_gap(brep)
     worst = int(gap.argmax()) if len(gap) else 0

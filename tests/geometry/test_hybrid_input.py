@@ -84,6 +84,23 @@ def test_edge_beyond_tolerance() -> None:
     assert re.search(r"box: edge 3 lies 0.0\d+ off face_\d and face_\d", message)
 
 
+def test_loop_with_a_gap_in_the_short_direction() -> None:
+    """The gap is a twentieth of the face's width, and less than a thousandth of its length."""
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox
+
+    brep = brep_of(BRepPrimAPI_MakeBox(100.0, 1.0, 1.0).Shape(), "bar")
+    extents = [np.array([np.ptp(k) for k in face.surface.knots]) for face in brep.faces]
+    number = next(k for k, extent in enumerate(extents) if extent.max() > 50.0 * extent.min())
+    face, short = brep.faces[number], int(extents[number].argmin())
+    first, *others = face.loops[0]
+    moved = first.curve.control.copy()
+    moved[:, short] += 0.05
+    loop = (replace(first, curve=Curve(first.curve.knots, moved)), *others)
+    faces = (*brep.faces[:number], replace(face, loops=(loop, *face.loops[1:])), *brep.faces[number + 1 :])
+    message = refused(check_brep, replace(brep, faces=faces), "bar")
+    assert message.startswith(f"bar: {face.name} has a loop with a gap at (u, v) = ")
+
+
 def test_missing_curve_in_the_parameter_plane() -> None:
     from OCP.BRep import BRep_Builder
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeCylinder
