@@ -119,7 +119,7 @@ def closure_distance(
         so_far = _longest(term[irregular])
         total = so_far + _rest(local, points, cells, known)
         # Cells that cannot be the worst are done with; the others are subdivided once more.
-        open_ = total > max(sharp * max(measured, float(so_far.max())), sure)
+        open_ = total > max(sharp * measured, sure)
         if step == _TERMS - 1 or open_.sum() > most or not open_.any():
             sure = max(sure, float(total.max()))
             break

@@ -86,7 +86,8 @@ def test_the_bound_is_reported() -> None:
 def test_the_bound_shrinks_with_the_depth() -> None:
     points, cells = fan(3)
     t = with_features(hex_mesh(points, cells).topology, points)
-    bounds = [closure_distance(t, points, depth).bound for depth in (0, 1, 2)]
+    # Two levels down more cells have to be subdivided than the default allows for a bound within twice the distance.
+    bounds = [closure_distance(t, points, depth, most=6000).bound for depth in (0, 1, 2)]
     assert bounds[2] < 0.75 * bounds[1] < 0.6 * bounds[0]
 
 
