@@ -12,7 +12,7 @@ from geometry.layouts.boundary_map import boundary_map, carried, on_surface
 from geometry.layouts.partition import partition
 from geometry.meccano.errors import Errors, errors_of, surface_samples
 from geometry.meccano.fitting import greville_points, laid
-from geometry.meccano.growth import _evened, _lack, _marked, _stiffer, nested, solid_of
+from geometry.meccano.growth import _drawn_in, _evened, _lack, _marked, _stiffer, nested, solid_of
 from geometry.meccano.hierarchical import hierarchy
 from geometry.meccano.shapes import ball
 from geometry.meccano.skin import outward, skin_of, values_at
@@ -130,6 +130,21 @@ def test_stiffer_springs_draw_nearer_what_is_nearly_there(round_solid):
     assert not drawn.excess(task.aims)
     assert drawn.solid.space is state.solid.space
     assert not len(drawn.solid.invalid)
+
+
+def test_dents_are_drawn_in_with_what_is_around_them(round_solid):
+    task, state = round_solid
+    points = state.solid.points.copy()
+    top = state.solid.skin.functions[np.argmax(points[state.solid.skin.functions, 2])]
+    points[top, 2] -= 0.3
+    dented = measured(task, replace(state.solid, points=points))
+    assert (certify(dented.solid.domain).verdict == 1).all()
+    assert dented.errors.worst.max() > 2.0 * task.aims.tolerance
+    drawn = _drawn_in(task, dented)
+    assert not drawn.excess(task.aims)
+    assert drawn.solid.space is state.solid.space
+    assert (certify(drawn.solid.domain).verdict == 1).all()
+    assert _drawn_in(task, state).excess(task.aims) <= state.excess(task.aims)
 
 
 def test_many_poor_shapes_are_smoothed_as_a_whole(round_solid):
