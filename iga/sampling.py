@@ -107,7 +107,6 @@ def bounding_box(domain: Domain) -> Array:
     return found
 
 
-
 def weighted_coefficients(
     space: Space, block: int, coefficients: Array, elements: Index | slice = slice(None)
 ) -> tuple[Array, Array | None]:

@@ -27,9 +27,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.hybrid.band import reach_of, right_angles, tangent
 from geometry.hybrid.chart import Chart, lengths_of, narrows, to_chart
 from geometry.hybrid.curves import cubic_functions
+from geometry.hybrid.legs import reach_of, right_angles, tangent
 from geometry.hybrid.triangle import certified, make_phi, right_corner, triangle_map
 
 Array = NDArray[np.float64]

@@ -221,11 +221,10 @@ def _slid(task: Task, state: State, softness: float, free: Mask | None = None, p
     Where something is far from the surface, elements may not fold on the way, and a patient slide takes more turns and
     moves elements under what is off too, which must make way for it.
     """
-    tolerance = task.aims.tolerance
-    far = bool(state.errors.worst.max() > LIMB * tolerance)
-    turns, steps = _PATIENT if patient and far else _QUICK
+    patient = patient and state.far(task.aims)
+    turns, steps = _PATIENT if patient else _QUICK
     if free is None:
-        free = _off(state, tolerance, 1 if patient and far else 0)
+        free = _off(state, task.aims.tolerance, int(patient))
     return _smoothed(task, state, softness, free, turns, steps)
 
 
@@ -252,9 +251,8 @@ def _off(state: State, tolerance: float, layers: int) -> Mask:
 
 def _smoothed(task: Task, state: State, softness: float, free: Mask, turns: int, steps: int) -> State:
     """Smooth while free functions slide along the surface."""
-    solid, tolerance = state.solid, task.aims.tolerance
-    far = bool(state.errors.worst.max() > LIMB * tolerance)
-    springs = springs_to(task.surface, solid.skin, tolerance, softness, state.aim, free, softness > _LEADING)
+    solid, far = state.solid, state.far(task.aims)
+    springs = springs_to(task.surface, solid.skin, task.aims.tolerance, softness, state.aim, free, softness > _LEADING)
     slid = smoothed(
         solid, free, steps, turns, _SAMPLES[far], _POWER, springs, repairs=1, folds=not far, shown=task.shown
     )

@@ -76,6 +76,10 @@ class State:
         """What facets are off beyond the tolerance, in all."""
         return float(np.maximum(self.errors.worst / aims.tolerance - 1.0, 0.0).sum())
 
+    def far(self, aims: Aims) -> bool:
+        """Whether something is so far off that it is a limb."""
+        return bool(self.errors.worst.max() > LIMB * aims.tolerance)
+
 
 def measured(task: Task, solid: Solid, aim: Array | None = None) -> State:
     """A solid's state; ``aim`` (f q, 3) saves asking the target again on the same mesh."""
